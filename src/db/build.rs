@@ -1,0 +1,602 @@
+//! From samples to patches: what one survey is, rebuilt where its samples changed.
+//!
+//! Everything here is a function of (declaration, union of the samples). In order: core cells, levels (decimated,
+//! with fills), errors over every sample, content keys. Sections 8, 9, 12 and 13 of the LOD-space specification.
+
+use super::change::Progress;
+use super::head::{Declaration, Head, Tile};
+use super::reader::{BlockCache, SampleReader};
+use super::tile::{Directory, blocks_of};
+use crate::base::{Error, Result};
+use crate::height::block::{BLOCK, RawBlock, decode, encode};
+use crate::height::cells::{Block, Fill};
+use crate::height::frame::CellRect;
+use crate::height::lod::{Fact, LEVEL_MAX, Place, places_meeting, places_touching_posts};
+use crate::height::patch::{Residuals, bottom, id};
+use crate::store::segment::{Layered, PageRef, Pages, SegmentWriter, file_name};
+use crate::store::table::{PageAddress, PatchEntry, PatchPage, block_slot, slot};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::{Arc, Mutex};
+
+/// The state of a survey before the change.
+pub struct Before<'a> {
+    pub head: &'a Head,
+    pub page: &'a (dyn Fn(PageAddress) -> Result<Option<Arc<PatchPage>>> + Sync),
+}
+
+/// A survey after the change.
+pub struct Built {
+    pub head: Head,
+    /// Changed pages; `None`: the page went.
+    pub pages: BTreeMap<PageAddress, Option<Arc<PatchPage>>>,
+    /// Places whose fact or core changed, with what was and what is.
+    pub changed: Vec<(Place, Option<PatchEntry>, Option<PatchEntry>)>,
+    /// Pages of the previous state that are dead now.
+    pub dead: Vec<PageRef>,
+}
+
+/// What is built from.
+pub struct Input<'a> {
+    pub declaration: Declaration,
+    /// Descending by key.
+    pub tiles: Vec<(Tile, Arc<Directory>)>,
+    pub before: Option<Before<'a>>,
+    /// Posts whose sample may have changed; everything if there is no state before.
+    pub dirty: CellRect,
+    pub cache: &'a BlockCache,
+    pub stamp: u64,
+}
+
+/// Builds the patch table of a survey. Levels are appended to `out`; patch pages are returned.
+pub fn build(input: Input, base: &crate::store::segment::Files, out: &mut SegmentWriter, progress: &Progress) -> Result<Built> {
+    let mut b = Builder { input, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
+    b.core(base, out)?;
+    let core = b.core_rect()?;
+    let level_max = level_max(&core)?;
+    b.fills(level_max)?;
+    for level in 1..=level_max {
+        b.level(level, base, out, progress)?;
+        progress.step("levels", f64::from(level) / f64::from(level_max))?;
+    }
+    b.facts(level_max, base, out, progress)?;
+    b.finish(level_max, core, out)
+}
+
+/// The least level at which the core needs at most 2 x 2 patches.
+fn level_max(core: &CellRect) -> Result<u8> {
+    (0..=LEVEL_MAX)
+        .find(|l| {
+            let p = places_meeting(*l, core);
+            p.width() <= 2 && p.height() <= 2
+        })
+        .ok_or_else(|| Error::limit("levels of a survey", u64::from(LEVEL_MAX), u64::from(LEVEL_MAX) + 1))
+}
+
+struct Builder<'a> {
+    input: Input<'a>,
+    /// Pages that change, as they will be.
+    pages: BTreeMap<PageAddress, PatchPage>,
+    /// New sample blocks of levels above 0.
+    blocks: HashMap<(u8, i64, i64), Option<PageRef>>,
+    changed: Vec<(Place, Option<PatchEntry>, Option<PatchEntry>)>,
+}
+
+impl Builder<'_> {
+    fn before_page(&self, at: PageAddress) -> Result<Option<Arc<PatchPage>>> {
+        match &self.input.before {
+            Some(b) => (b.page)(at),
+            None => Ok(None),
+        }
+    }
+
+    fn before_entry(&self, place: Place) -> Result<Option<PatchEntry>> {
+        Ok(self.before_page(PageAddress::of_place(place))?.and_then(|p| p.patches[slot(place)]))
+    }
+
+    fn edit(&mut self, at: PageAddress) -> Result<&mut PatchPage> {
+        if !self.pages.contains_key(&at) {
+            let page = self.before_page(at)?.map_or_else(PatchPage::default, |p| (*p).clone());
+            self.pages.insert(at, page);
+        }
+        Ok(self.pages.get_mut(&at).expect("it was just put there"))
+    }
+
+    /// The fill of a place as it will be.
+    fn core_fill(&self, place: Place) -> Result<Fill> {
+        let at = PageAddress::of_place(place);
+        if let Some(p) = self.pages.get(&at) {
+            return Ok(p.patches[slot(place)].map_or(Fill::Empty, |e| e.core));
+        }
+        Ok(self.before_page(at)?.and_then(|p| p.patches[slot(place)]).map_or(Fill::Empty, |e| e.core))
+    }
+
+    fn level_before(&self) -> Option<u8> {
+        self.input.before.as_ref().map(|b| b.head.level_max)
+    }
+
+    /// Whether everything of this level has to be built.
+    fn is_new(&self, level: u8) -> bool {
+        self.level_before().is_none_or(|l| level > l)
+    }
+
+    fn posts(&self) -> CellRect {
+        self.input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts))
+    }
+
+    fn with_reader<R>(
+        &self,
+        base: &crate::store::segment::Files,
+        out: &SegmentWriter,
+        f: impl FnOnce(&SampleReader, &dyn Pages) -> Result<R>,
+    ) -> Result<R> {
+        let pages = Layered { base, writing: vec![out] };
+        let levels = |level: u8, bi: i64, bj: i64| -> Result<Option<PageRef>> {
+            if let Some(at) = self.blocks.get(&(level, bi, bj)) {
+                return Ok(*at);
+            }
+            let at = PageAddress::of_block(level, bi, bj);
+            Ok(self.before_page(at)?.and_then(|p| p.blocks[block_slot(bi, bj)]))
+        };
+        let reader = SampleReader {
+            pages: &pages,
+            declaration: &self.input.declaration,
+            tiles: self.input.tiles.iter().map(|(t, d)| (t, d.clone())).collect(),
+            levels: &levels,
+            cache: self.input.cache,
+            stamp: self.input.stamp,
+        };
+        f(&reader, &pages)
+    }
+
+    /// Level-0 core cells of the places whose cells may have changed.
+    fn core(&mut self, base: &crate::store::segment::Files, out: &SegmentWriter) -> Result<()> {
+        let d = self.input.dirty;
+        // A cell is core by the 4 x 4 posts around it.
+        let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
+        let range = places_meeting(0, &cells);
+        let found: Vec<Vec<(Place, Block)>> = self.with_reader(base, out, |reader, _| {
+            (range.j0..range.j1)
+                .into_par_iter()
+                .map(|j| {
+                    (range.i0..range.i1)
+                        .map(|i| {
+                            let place = Place::new(0, i, j);
+                            Ok((place, Block::core_of(&reader.validity(place)?)))
+                        })
+                        .collect()
+                })
+                .collect()
+        })?;
+        for (place, block) in found.into_iter().flatten() {
+            let fill = block.fill();
+            if fill == Fill::Empty && self.before_entry(place)?.is_none() {
+                continue;
+            }
+            self.set_core(place, fill)?;
+            let s = slot(place);
+            self.edit(PageAddress::of_place(place))?.set_block(s, Some(block));
+        }
+        Ok(())
+    }
+
+    fn set_core(&mut self, place: Place, core: Fill) -> Result<()> {
+        let s = slot(place);
+        let page = self.edit(PageAddress::of_place(place))?;
+        page.patches[s] = match (core, page.patches[s]) {
+            (Fill::Empty, _) => None,
+            (core, Some(e)) => Some(PatchEntry { core, ..e }),
+            (core, None) => {
+                Some(PatchEntry { fact: Fact { id: Default::default(), bot: f32::INFINITY }, core })
+            }
+        };
+        Ok(())
+    }
+
+    /// The smallest rectangle of cells that holds the core.
+    fn core_rect(&self) -> Result<CellRect> {
+        let mut rect = CellRect::new(0, 0, 0, 0);
+        let mut add = |at: PageAddress, page: &PatchPage| {
+            for (s, e) in page.patches.iter().enumerate() {
+                let Some(e) = e else { continue };
+                let r = at.place(s).rect();
+                if rect.contains(&r) && !rect.is_empty() {
+                    continue;
+                }
+                if e.core == Fill::Full {
+                    rect = rect.union(&r);
+                    continue;
+                }
+                let mut parts = Vec::new();
+                page.block(s).rects(at.place(s).i, at.place(s).j, &r, &mut parts);
+                for p in parts {
+                    rect = rect.union(&p);
+                }
+            }
+        };
+        for (at, page) in self.pages.iter().filter(|(a, _)| a.level == 0) {
+            add(*at, page);
+        }
+        if let Some(b) = &self.input.before {
+            for (at, _) in b.head.pages.iter().filter(|(a, _)| a.level == 0 && !self.pages.contains_key(a)) {
+                if let Some(p) = (b.page)(*at)? {
+                    add(*at, &p);
+                }
+            }
+        }
+        if rect.is_empty() {
+            return Err(Error::invalid(
+                &self.input.declaration.name,
+                "no cell has valid samples all around it (4 x 4 posts are the least); nothing could be certified. check --nodata",
+            ));
+        }
+        Ok(rect)
+    }
+
+    /// How much of each rectangle above level 0 is core.
+    fn fills(&mut self, level_max: u8) -> Result<()> {
+        let mut below: BTreeSet<(i32, i32)> =
+            self.pages.iter().filter(|(a, _)| a.level == 0).flat_map(|(a, _)| page_places(*a)).collect();
+        for level in 1..=level_max {
+            let mut places: BTreeSet<(i32, i32)> = below.iter().map(|(i, j)| (i >> 1, j >> 1)).collect();
+            if self.is_new(level) {
+                // The level did not exist: its places lie over every place below.
+                if let Some(b) = &self.input.before {
+                    let known: Vec<PageAddress> =
+                        b.head.pages.iter().map(|(a, _)| *a).filter(|a| a.level == level - 1).collect();
+                    places.extend(known.into_iter().flat_map(page_places).map(|(i, j)| (i >> 1, j >> 1)));
+                }
+            }
+            for (i, j) in &places {
+                let place = Place { level, i: *i, j: *j };
+                let c = place.children();
+                let fill = Fill::join([
+                    self.core_fill(c[0])?,
+                    self.core_fill(c[1])?,
+                    self.core_fill(c[2])?,
+                    self.core_fill(c[3])?,
+                ]);
+                if fill != Fill::Empty || self.before_entry(place)?.is_some() {
+                    self.set_core(place, fill)?;
+                }
+            }
+            below = places;
+        }
+        Ok(())
+    }
+
+    /// Vertices of a level that posts can change: `[i0, i1) x [j0, j1)`.
+    fn vertices_near(posts: &CellRect, level: u8) -> CellRect {
+        let r = 1i64 << level;
+        CellRect::new(
+            posts.i0.div_euclid(r),
+            posts.j0.div_euclid(r),
+            (posts.i1 - 1).div_euclid(r) + 2,
+            (posts.j1 - 1).div_euclid(r) + 2,
+        )
+    }
+
+    /// Decimates the level below and fills the vertices without a sample.
+    fn level(
+        &mut self,
+        level: u8,
+        base: &crate::store::segment::Files,
+        out: &mut SegmentWriter,
+        progress: &Progress,
+    ) -> Result<()> {
+        let all = self.posts();
+        let posts = if self.is_new(level) { all } else { self.input.dirty };
+        let blocks = blocks_of(&Self::vertices_near(&posts, level));
+        for bj in blocks.j0..blocks.j1 {
+            progress.check()?;
+            let row: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader, pages| {
+                (blocks.i0..blocks.i1)
+                    .into_par_iter()
+                    .map(|bi| Ok(decimate(reader, pages, level, bi, bj, &all)?.map(|b| encode(&b))))
+                    .collect()
+            })?;
+            for (k, bytes) in row.into_iter().enumerate() {
+                let at = bytes.map(|b| out.append(&b)).transpose()?;
+                self.blocks.insert((level, blocks.i0 + k as i64, bj), at);
+            }
+        }
+        let new: Vec<((u8, i64, i64), Option<PageRef>)> =
+            self.blocks.iter().filter(|(k, _)| k.0 == level).map(|(k, v)| (*k, *v)).collect();
+        for ((_, bi, bj), at) in new {
+            let address = PageAddress::of_block(level, bi, bj);
+            if at.is_some() || self.pages.contains_key(&address) || self.before_page(address)?.is_some() {
+                self.edit(address)?.blocks[block_slot(bi, bj)] = at;
+            }
+        }
+        Ok(())
+    }
+
+    /// Places of a level whose payload or error may have changed.
+    fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
+        let d = if self.is_new(level) { *all } else { self.input.dirty };
+        let r = if level == 0 { 0 } else { 1i64 << level };
+        places_touching_posts(level, d.i0 - r, d.j0 - r, d.i1 - 1 + r, d.j1 - 1 + r)
+    }
+
+    /// Errors and content keys.
+    fn facts(
+        &mut self,
+        level_max: u8,
+        base: &crate::store::segment::Files,
+        out: &SegmentWriter,
+        progress: &Progress,
+    ) -> Result<()> {
+        let all = self.posts();
+        let ranges: Vec<CellRect> = (0..=level_max).map(|l| self.dirty_places(l, &all)).collect();
+        let deltas = self.with_reader(base, out, |reader, _| errors(reader, &ranges, &all, progress))?;
+        let declaration_id = self.input.declaration.id();
+        let accuracy = self.input.declaration.accuracy_m;
+        for level in 0..=level_max {
+            let range = ranges[level as usize];
+            let rows: Vec<Vec<(Place, Fact)>> = self.with_reader(base, out, |reader, _| {
+                (range.j0..range.j1)
+                    .into_par_iter()
+                    .map(|j| {
+                        let mut found = Vec::new();
+                        for i in range.i0..range.i1 {
+                            let place = Place::new(level, i, j);
+                            if self.core_fill(place)? == Fill::Empty {
+                                continue;
+                            }
+                            let k = ((j - range.j0) * range.width() + i - range.i0) as usize;
+                            let delta = if level == 0 { 0.0 } else { deltas[level as usize][k] };
+                            let bot = bottom(accuracy, delta);
+                            let z = reader.vertices(place)?;
+                            found.push((place, Fact { id: id(&declaration_id, place, &z, bot), bot }));
+                        }
+                        Ok(found)
+                    })
+                    .collect()
+            })?;
+            progress.step("keys", f64::from(level + 1) / f64::from(level_max + 1))?;
+            for (place, fact) in rows.into_iter().flatten() {
+                let s = slot(place);
+                if let Some(e) = &mut self.edit(PageAddress::of_place(place))?.patches[s] {
+                    e.fact = fact;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(mut self, level_max: u8, core: CellRect, out: &mut SegmentWriter) -> Result<Built> {
+        // Levels above the new top go.
+        let gone: Vec<PageAddress> = self
+            .input
+            .before
+            .as_ref()
+            .map_or(Vec::new(), |b| b.head.pages.iter().map(|(a, _)| *a).filter(|a| a.level > level_max).collect());
+        for at in gone {
+            self.pages.insert(at, PatchPage::default());
+        }
+        self.pages.retain(|a, p| a.level <= level_max || p.is_empty());
+        let mut dead = Vec::new();
+        let mut list: BTreeMap<PageAddress, PageRef> =
+            self.input.before.as_ref().map_or(BTreeMap::new(), |b| b.head.pages.iter().copied().collect());
+        let mut pages = BTreeMap::new();
+        let mut patches = self.input.before.as_ref().map_or(0, |b| b.head.patches);
+        for (at, page) in std::mem::take(&mut self.pages) {
+            let old = self.before_page(at)?;
+            if old.as_ref().is_some_and(|o| **o == page) {
+                continue;
+            }
+            for k in 0..page.patches.len() {
+                let (was, is) = (old.as_ref().and_then(|o| o.patches[k]), page.patches[k]);
+                let block_changed = at.level == 0 && old.as_ref().is_some_and(|o| o.block(k) != page.block(k));
+                patches = patches + u64::from(is.is_some()) - u64::from(was.is_some());
+                if was != is || block_changed {
+                    self.changed.push((at.place(k), was, is));
+                }
+            }
+            if let Some(o) = &old {
+                dead.extend(o.blocks.iter().zip(&page.blocks).filter(|(a, b)| a != b).filter_map(|(a, _)| *a));
+            }
+            dead.extend(list.remove(&at));
+            if page.is_empty() {
+                pages.insert(at, None);
+            } else {
+                list.insert(at, out.append(&page.encode(at))?);
+                pages.insert(at, Some(Arc::new(page)));
+            }
+        }
+        let head = Head {
+            declaration: self.input.declaration,
+            tiles: self.input.tiles.into_iter().map(|(t, _)| t).collect(),
+            level_max,
+            core,
+            patches,
+            pages: list.into_iter().collect(),
+        };
+        Ok(Built { head, pages, changed: self.changed, dead })
+    }
+}
+
+fn page_places(at: PageAddress) -> impl Iterator<Item = (i32, i32)> {
+    (0..256).map(move |s| at.place(s)).map(|p| (p.i, p.j))
+}
+
+/// One block of a level: every other vertex of the level below, with fills. `None` if nothing is in it.
+fn decimate(
+    reader: &SampleReader,
+    pages: &dyn Pages,
+    level: u8,
+    bi: i64,
+    bj: i64,
+    all: &CellRect,
+) -> Result<Option<RawBlock>> {
+    const N: usize = BLOCK as usize;
+    let t = reader.declaration.sample_type;
+    let w = t.bytes();
+    let mut samples = vec![0u8; N * N * w];
+    let mut valid = vec![0u8; N * N];
+    for q in 0..4usize {
+        let (ci, cj) = (2 * bi + (q as i64 & 1), 2 * bj + (q as i64 >> 1));
+        let raws = if level == 1 {
+            if reader.valid_at_most(ci, cj) == 0 { Vec::new() } else { reader.tile_blocks(ci, cj)? }
+        } else {
+            match (reader.levels)(level - 1, ci, cj)? {
+                Some(at) => vec![decode(&pages.page(&at)?, &file_name(at.file))?],
+                None => Vec::new(),
+            }
+        };
+        let (oi, oj) = ((q & 1) * N / 2, (q >> 1) * N / 2);
+        for raw in raws {
+            for r in (raw.row % 2..raw.rows).step_by(2) {
+                for c in (raw.col % 2..raw.cols).step_by(2) {
+                    let k = r * raw.cols + c;
+                    if raw.valid.as_ref().is_none_or(|v| v[k] != 0) {
+                        let at = (oj + (raw.row + r) / 2) * N + oi + (raw.col + c) / 2;
+                        samples[at * w..(at + 1) * w].copy_from_slice(&raw.samples[k * w..(k + 1) * w]);
+                        valid[at] = 1;
+                    }
+                }
+            }
+        }
+    }
+    // The vertices that exist: within a step of the posts.
+    let near = Builder::vertices_near(all, level);
+    let own = CellRect::new(bi * BLOCK, bj * BLOCK, (bi + 1) * BLOCK, (bj + 1) * BLOCK).intersect(&near);
+    if own.is_empty() {
+        return Ok(None);
+    }
+    let (col, row) = ((own.i0 - bi * BLOCK) as usize, (own.j0 - bj * BLOCK) as usize);
+    let (cols, rows) = (own.width() as usize, own.height() as usize);
+    let mut cut_samples = Vec::with_capacity(cols * rows * w);
+    let mut cut_valid = Vec::with_capacity(cols * rows);
+    let mut fills = Vec::new();
+    let mut any = false;
+    for b in row..row + rows {
+        cut_samples.extend_from_slice(&samples[(b * N + col) * w..(b * N + col + cols) * w]);
+        cut_valid.extend_from_slice(&valid[b * N + col..b * N + col + cols]);
+        for a in col..col + cols {
+            if valid[b * N + a] != 0 {
+                any = true;
+                continue;
+            }
+            let f = fill(reader, level, bi * BLOCK + a as i64, bj * BLOCK + b as i64, all)?;
+            any |= f.is_some();
+            fills.push(f.unwrap_or(0.0));
+        }
+    }
+    let voids = !fills.is_empty();
+    Ok(any.then_some(RawBlock {
+        col,
+        row,
+        cols,
+        rows,
+        sample_type: t,
+        samples: cut_samples,
+        valid: voids.then_some(cut_valid),
+        fills,
+    }))
+}
+
+/// The fill of a vertex without a sample: the mean of the valid samples less than one level step away in both axes,
+/// summed in index order (section 9), rounded to `f32`.
+fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Result<Option<f32>> {
+    let r = 1i64 << level;
+    let window = CellRect::new(i * r - r + 1, j * r - r + 1, i * r + r, j * r + r).intersect(all);
+    if window.is_empty() {
+        return Ok(None);
+    }
+    let blocks = blocks_of(&window);
+    let some = (blocks.j0..blocks.j1).any(|bj| (blocks.i0..blocks.i1).any(|bi| reader.valid_at_most(bi, bj) > 0));
+    if !some {
+        return Ok(None);
+    }
+    let (mut sum, mut n) = (0.0f64, 0u64);
+    // Row bands of one block height keep memory small; order stays row by row.
+    let mut j0 = window.j0;
+    while j0 < window.j1 {
+        let j1 = ((j0.div_euclid(BLOCK) + 1) * BLOCK).min(window.j1);
+        for h in reader.posts(&CellRect::new(window.i0, j0, window.i1, j1))? {
+            if !h.is_nan() {
+                sum += h;
+                n += 1;
+            }
+        }
+        j0 = j1;
+    }
+    Ok((n > 0).then(|| (sum / n as f64) as f32))
+}
+
+/// Largest error of every wanted place of every level above 0: one pass over the posts, bands in parallel.
+fn errors(reader: &SampleReader, ranges: &[CellRect], all: &CellRect, progress: &Progress) -> Result<Vec<Vec<f64>>> {
+    let totals: Vec<Mutex<Vec<f64>>> =
+        ranges.iter().map(|r| Mutex::new(vec![0.0; (r.width() * r.height()) as usize])).collect();
+    if ranges.len() < 2 {
+        return Ok(totals.into_iter().map(|m| m.into_inner().unwrap_or_default()).collect());
+    }
+    let rows = blocks_of(all);
+    let done = std::sync::atomic::AtomicU64::new(0);
+    (rows.j0..rows.j1).collect::<Vec<i64>>().into_par_iter().with_max_len(1).try_for_each(|bj| -> Result<()> {
+        let (j0, j1) = ((bj * BLOCK).max(all.j0), ((bj + 1) * BLOCK).min(all.j1));
+        // Per level: the wanted places that this band touches, and their columns of posts.
+        let mut gather: Vec<(Residuals, CellRect)> = Vec::new();
+        let mut cols = CellRect::new(0, 0, 0, 0);
+        for (level, range) in ranges.iter().enumerate().skip(1) {
+            let level = level as u8;
+            let touched = places_touching_posts(level, i64::MIN / 4, j0, i64::MAX / 4, j1 - 1);
+            let places = CellRect::new(range.i0, range.j0.max(touched.j0), range.i1, range.j1.min(touched.j1));
+            if places.is_empty() {
+                continue;
+            }
+            let lo = Place::new(level, places.i0, 0).domain().i0.max(all.i0);
+            let hi = (Place::new(level, places.i1 - 1, 0).domain().i1 + 1).min(all.i1);
+            if lo >= hi {
+                continue;
+            }
+            cols = cols.union(&CellRect::new(lo, j0, hi, j1));
+            gather.push((Residuals::new(level, places, lo, (hi - lo) as usize), CellRect::new(lo, 0, hi, 1)));
+        }
+        if gather.is_empty() {
+            return Ok(());
+        }
+        progress.check()?;
+        let posts = reader.posts(&CellRect::new(cols.i0, j0, cols.i1, j1))?;
+        let width = cols.width() as usize;
+        for (g, own) in &mut gather {
+            let level = g.level();
+            let (v0, vn) = g.vertices();
+            let (mut below, mut above) = (vec![0.0; vn], vec![0.0; vn]);
+            let mut at = i64::MIN;
+            for j in j0..j1 {
+                if !g.wants(j) {
+                    continue;
+                }
+                let v = j >> level;
+                if v != at {
+                    if v == at.wrapping_add(1) {
+                        std::mem::swap(&mut below, &mut above);
+                    } else {
+                        reader.line(level, v0, v, &mut below)?;
+                    }
+                    reader.line(level, v0, v + 1, &mut above)?;
+                    at = v;
+                }
+                let row = &posts[(j - j0) as usize * width..][..width];
+                let from = (own.i0 - cols.i0) as usize;
+                g.row(j, &row[from..from + own.width() as usize], &below, &above);
+            }
+        }
+        for (g, _) in gather {
+            let (level, places) = (g.level() as usize, g.places());
+            let found = g.finish();
+            let range = &ranges[level];
+            let mut total = totals[level].lock().expect("no thread panicked while holding the errors");
+            for (k, d) in found.into_iter().enumerate() {
+                let (pi, pj) = (places.i0 + k as i64 % places.width(), places.j0 + k as i64 / places.width());
+                let t = &mut total[((pj - range.j0) * range.width() + pi - range.i0) as usize];
+                *t = t.max(d);
+            }
+        }
+        let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+        progress.step("errors", n as f64 / rows.height() as f64)
+    })?;
+    Ok(totals.into_iter().map(|m| m.into_inner().expect("no thread panicked while holding the errors")).collect())
+}

@@ -1,0 +1,30 @@
+//! The junction: surveys in, versions out, questions answered. The only room that sees the whole middle floor.
+//!
+//! - [`Db`]: a database directory; [`Snapshot`]: one version of it, never blocked by writers;
+//! - [`Change`]: what a commit does (ingest, replace, remove, set); [`prune`](Db::prune) gives bytes back;
+//! - [`query`]: patches of a region within a tolerance, differences, heights;
+//! - [`verify`]: everything that can be checked; [`fingerprint`]: one hash of the logical content.
+
+mod build;
+mod change;
+mod check;
+mod database;
+mod export;
+mod fingerprint;
+mod head;
+mod listing;
+pub mod query;
+mod reader;
+mod root;
+mod tile;
+mod update;
+mod view;
+
+pub use change::{Change, Ingest, Outcome, Progress};
+
+pub use database::{Db, Options, Policy, PruneOutcome, Snapshot};
+
+
+pub use head::{Declaration, Tile};
+
+pub use root::SurveyEntry;

@@ -1,0 +1,160 @@
+//! Reading the posts and vertices of one survey: decoded blocks, cached.
+
+use super::head::{Declaration, Tile};
+use super::tile::Directory;
+use crate::base::Result;
+use crate::height::block::{BLOCK, Heights, RawBlock, decode};
+use crate::height::frame::CellRect;
+use crate::height::lod::{Place, SIDE};
+use crate::height::patch::Vertices;
+use crate::store::segment::{PageRef, Pages, file_name};
+use quick_cache::Weighter;
+use quick_cache::sync::Cache;
+use std::sync::Arc;
+
+const N: usize = BLOCK as usize;
+
+/// A block in the cache: survey, level, block indices, and a stamp that tells builds apart.
+pub type BlockKey = (u64, u8, i64, i64);
+
+#[derive(Clone)]
+pub struct ByBytes;
+
+impl Weighter<BlockKey, Arc<Heights>> for ByBytes {
+    fn weight(&self, _: &BlockKey, v: &Arc<Heights>) -> u64 {
+        v.weight()
+    }
+}
+
+pub type BlockCache = Cache<BlockKey, Arc<Heights>, ByBytes>;
+
+/// A cache of decoded blocks of at most `bytes`.
+pub fn block_cache(bytes: u64) -> BlockCache {
+    Cache::with_weighter((bytes / 100_000).max(16) as usize, bytes, ByBytes)
+}
+
+/// Finds the page of a sample block of a level above 0.
+pub type LevelBlocks<'a> = &'a (dyn Fn(u8, i64, i64) -> Result<Option<PageRef>> + Sync);
+
+/// The samples of one survey.
+pub struct SampleReader<'a> {
+    pub pages: &'a dyn Pages,
+    pub declaration: &'a Declaration,
+    /// Descending by key, each with its directory.
+    pub tiles: Vec<(&'a Tile, Arc<Directory>)>,
+    pub levels: LevelBlocks<'a>,
+    pub cache: &'a BlockCache,
+    /// Distinguishes this survey (and this state of it) in the cache.
+    pub stamp: u64,
+}
+
+impl SampleReader<'_> {
+    /// Raw blocks of the tiles at a level-0 block, least key first: laid in this order the greatest key wins.
+    pub fn tile_blocks(&self, bi: i64, bj: i64) -> Result<Vec<RawBlock>> {
+        let mut out = Vec::new();
+        for (_, directory) in self.tiles.iter().rev() {
+            if let Some((at, _)) = directory.get(bi, bj) {
+                out.push(decode(&self.pages.page(&at)?, &file_name(at.file))?);
+            }
+        }
+        Ok(out)
+    }
+
+    /// Valid samples that tiles hold in a level-0 block, counting overlaps twice: 0 means none.
+    pub fn valid_at_most(&self, bi: i64, bj: i64) -> u64 {
+        self.tiles.iter().filter_map(|(_, d)| d.get(bi, bj)).map(|(_, v)| u64::from(v)).sum()
+    }
+
+    /// A decoded block. A block that does not exist is all void.
+    pub fn block(&self, level: u8, bi: i64, bj: i64) -> Result<Arc<Heights>> {
+        let key = (self.stamp, level, bi, bj);
+        if let Some(b) = self.cache.get(&key) {
+            return Ok(b);
+        }
+        let (scale, offset) = (self.declaration.scale, self.declaration.offset);
+        let mut h = Heights::void();
+        if level == 0 {
+            for raw in self.tile_blocks(bi, bj)? {
+                h.lay(&raw, scale, offset);
+            }
+        } else if let Some(at) = (self.levels)(level, bi, bj)? {
+            h.lay(&decode(&self.pages.page(&at)?, &file_name(at.file))?, scale, offset);
+        }
+        let h = Arc::new(h);
+        self.cache.insert(key, h.clone());
+        Ok(h)
+    }
+
+    /// The 33 x 33 vertices of a patch.
+    pub fn vertices(&self, place: Place) -> Result<Box<Vertices>> {
+        let mut z: Box<Vertices> = vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
+        let d = place.domain();
+        let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
+        self.copy(place.level, i0, j0, SIDE, SIDE, &mut z[..], false)?;
+        Ok(z)
+    }
+
+    /// A rectangle of posts (level 0), voids as NaN.
+    pub fn posts(&self, r: &CellRect) -> Result<Vec<f64>> {
+        let (cols, rows) = (r.width() as usize, r.height() as usize);
+        let mut z = vec![0.0; cols * rows];
+        self.copy(0, r.i0, r.j0, cols, rows, &mut z, true)?;
+        Ok(z)
+    }
+
+    /// One row of vertices of a level.
+    pub fn line(&self, level: u8, i0: i64, j: i64, out: &mut [f64]) -> Result<()> {
+        let n = out.len();
+        self.copy(level, i0, j, n, 1, out, false)
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn copy(&self, level: u8, i0: i64, j0: i64, cols: usize, rows: usize, out: &mut [f64], nan: bool) -> Result<()> {
+        let (i1, j1) = (i0 + cols as i64, j0 + rows as i64);
+        for bj in j0.div_euclid(BLOCK)..=(j1 - 1).div_euclid(BLOCK) {
+            for bi in i0.div_euclid(BLOCK)..=(i1 - 1).div_euclid(BLOCK) {
+                let block = self.block(level, bi, bj)?;
+                let (ci, cj) = (bi * BLOCK, bj * BLOCK);
+                let (a0, a1) = ((i0.max(ci) - ci) as usize, (i1.min(ci + BLOCK) - ci) as usize);
+                for j in j0.max(cj)..j1.min(cj + BLOCK) {
+                    let b = (j - cj) as usize;
+                    let from = &block.z[b * N + a0..b * N + a1];
+                    let at = (j - j0) as usize * cols + (ci + a0 as i64 - i0) as usize;
+                    out[at..at + from.len()].copy_from_slice(from);
+                    if nan && let Some(v) = &block.valid {
+                        for (o, v) in out[at..at + from.len()].iter_mut().zip(&v[b * N + a0..b * N + a1]) {
+                            if *v == 0 {
+                                *o = f64::NAN;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Validity of posts around a level-0 kernel rectangle: 31 rows of 31 bits, from one post before it.
+    pub fn validity(&self, place: Place) -> Result<[u32; 31]> {
+        let r = place.rect();
+        let (i0, j0) = (r.i0 - 1, r.j0 - 1);
+        let mut bits = [0u32; 31];
+        for bj in j0.div_euclid(BLOCK)..=(j0 + 30).div_euclid(BLOCK) {
+            for bi in i0.div_euclid(BLOCK)..=(i0 + 30).div_euclid(BLOCK) {
+                if self.valid_at_most(bi, bj) == 0 {
+                    continue;
+                }
+                let block = self.block(0, bi, bj)?;
+                let (ci, cj) = (bi * BLOCK, bj * BLOCK);
+                for j in j0.max(cj)..(j0 + 31).min(cj + BLOCK) {
+                    for i in i0.max(ci)..(i0 + 31).min(ci + BLOCK) {
+                        if block.is_valid((i - ci) as usize, (j - cj) as usize) {
+                            bits[(j - j0) as usize] |= 1 << (i - i0);
+                        }
+                    }
+                }
+            }
+        }
+        Ok(bits)
+    }
+}

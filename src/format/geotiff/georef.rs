@@ -1,0 +1,201 @@
+//! Where the posts lie and in which CRS, from the GeoTIFF tags.
+//!
+//! Positions come from ModelPixelScale with one ModelTiepoint, else from ModelTransformation, as GDAL reads
+//! them (a negative vertical scale is taken as its magnitude). A post is the centre of its pixel: with
+//! PixelIsPoint the tags speak of centres already, with PixelIsArea (the default) of corners.
+
+use super::metadata::shorten;
+use crate::height::crs::{AxisUnit, Crs};
+use crate::height::source::Affine;
+use std::collections::BTreeMap;
+use tiff_reader::Ifd;
+
+pub const TAG_PIXEL_SCALE: u16 = 33550;
+pub const TAG_TIEPOINTS: u16 = 33922;
+pub const TAG_TRANSFORMATION: u16 = 34264;
+pub const TAG_GEO_KEYS: u16 = 34735;
+const TAG_GEO_DOUBLES: u16 = 34736;
+const TAG_GEO_ASCII: u16 = 34737;
+
+pub const KEY_MODEL_TYPE: u16 = 1024;
+pub const KEY_RASTER_TYPE: u16 = 1025;
+const KEY_CITATION: u16 = 1026;
+pub const KEY_GEODETIC_CRS: u16 = 2048;
+const KEY_GEODETIC_CITATION: u16 = 2049;
+const KEY_ANGULAR_UNIT: u16 = 2054;
+pub const KEY_PROJECTED_CRS: u16 = 3072;
+const KEY_PROJECTED_CITATION: u16 = 3073;
+const KEY_LINEAR_UNIT: u16 = 3076;
+const KEY_LINEAR_UNIT_METRES: u16 = 3077;
+const KEY_VERTICAL_UNIT: u16 = 4099;
+
+pub const MODEL_PROJECTED: u16 = 1;
+pub const MODEL_GEOGRAPHIC: u16 = 2;
+pub const RASTER_AREA: u16 = 1;
+const RASTER_POINT: u16 = 2;
+const UNIT_METRE: u16 = 9001;
+const UNIT_FOOT: u16 = 9002;
+const UNIT_US_FOOT: u16 = 9003;
+const UNIT_DEGREE: u16 = 9102;
+const UNIT_DEGREE_UNSPECIFIED: u16 = 9122;
+const USER_DEFINED: u16 = 32767;
+
+const US_FOOT_M: f64 = 1200.0 / 3937.0;
+
+/// The GeoKeys of an image; keys that point outside their tags are left out.
+#[derive(Default)]
+pub struct GeoKeys {
+    shorts: BTreeMap<u16, u16>,
+    doubles: BTreeMap<u16, f64>,
+    texts: BTreeMap<u16, String>,
+}
+
+impl GeoKeys {
+    pub fn read(ifd: &Ifd) -> GeoKeys {
+        let mut keys = GeoKeys::default();
+        let Some(directory) = ifd.tag(TAG_GEO_KEYS).and_then(|t| t.value.as_u16_slice()) else {
+            return keys;
+        };
+        let doubles = ifd.tag(TAG_GEO_DOUBLES).and_then(|t| t.value.as_f64_vec()).unwrap_or_default();
+        let ascii = ifd.tag(TAG_GEO_ASCII).and_then(|t| t.value.as_str()).unwrap_or("");
+        let count = directory.get(3).copied().unwrap_or(0);
+        for entry in directory.chunks_exact(4).skip(1).take(usize::from(count)) {
+            let (key, tag, n, value) = (entry[0], entry[1], usize::from(entry[2]), entry[3]);
+            let at = usize::from(value);
+            match tag {
+                0 => drop(keys.shorts.insert(key, value)),
+                TAG_GEO_DOUBLES => {
+                    if let Some(v) = doubles.get(at) {
+                        keys.doubles.insert(key, *v);
+                    }
+                }
+                TAG_GEO_ASCII => {
+                    if let Some(text) = at.checked_add(n).and_then(|end| ascii.get(at..end.min(ascii.len())))
+                    {
+                        keys.texts.insert(key, shorten(text.trim_end_matches('|')));
+                    }
+                }
+                _ => {}
+            }
+        }
+        keys
+    }
+
+    fn code(&self, key: u16) -> Option<u16> {
+        self.shorts.get(&key).copied().filter(|code| *code != 0 && *code != USER_DEFINED)
+    }
+
+    /// What the file says of its CRS in words.
+    fn citation(&self) -> Option<&str> {
+        [KEY_CITATION, KEY_PROJECTED_CITATION, KEY_GEODETIC_CITATION]
+            .into_iter()
+            .filter_map(|key| self.texts.get(&key))
+            .map(|text| text.as_str())
+            .find(|text| !text.is_empty() && *text != "unknown")
+    }
+}
+
+/// Post positions; None without georeference, or if it is not one affine map (told in `notes`).
+pub fn affine(ifd: &Ifd, keys: &GeoKeys, notes: &mut Vec<String>) -> Option<Affine> {
+    let numbers = |tag| ifd.tag(tag).and_then(|t| t.value.as_f64_vec()).unwrap_or_default();
+    let (scale, ties, matrix) =
+        (numbers(TAG_PIXEL_SCALE), numbers(TAG_TIEPOINTS), numbers(TAG_TRANSFORMATION));
+    // Position of the file's raster point (i, j) is base + i * col_step + j * row_step.
+    let (base, col_step, row_step) = if let ([sx, sy, ..], [i, j, _, x, y, ..]) = (&scale[..], &ties[..])
+        && *sx != 0.0
+        && *sy != 0.0
+    {
+        if *sy < 0.0 {
+            notes
+                .push(format!("the file's vertical step is negative ({sy}); read as north-up, as GDAL does"));
+        }
+        let down = -sy.abs();
+        ([x - i * sx, y - j * down], [*sx, 0.0], [0.0, down])
+    } else if let [a, b, _, d, e, f, _, h, ..] = &matrix[..] {
+        ([*d, *h], [*a, *e], [*b, *f])
+    } else {
+        if ties.len() >= 12 {
+            notes.push("placed by ground control points only; warp it with gdalwarp first".to_string());
+        }
+        return None;
+    };
+    if (base, col_step, row_step) == ([0.0; 2], [1.0, 0.0], [0.0, 1.0]) {
+        // Column and row numbers, which is how GDAL writes "nowhere".
+        return None;
+    }
+    let half = if keys.shorts.get(&KEY_RASTER_TYPE) == Some(&RASTER_POINT) { 0.0 } else { 0.5 };
+    let origin = [0, 1].map(|k| base[k] + half * col_step[k] + half * row_step[k]);
+    let determinant = col_step[0] * row_step[1] - col_step[1] * row_step[0];
+    if !origin.iter().all(|v| v.is_finite()) || !determinant.is_finite() || determinant == 0.0 {
+        notes.push("the file's georeference is not usable (zero or infinite step); ignored".to_string());
+        return None;
+    }
+    Some(Affine { origin, col_step, row_step })
+}
+
+/// The CRS by EPSG code; None, with a note of what the file says, if it names none that is known.
+pub fn crs(keys: &GeoKeys, notes: &mut Vec<String>) -> Option<Crs> {
+    let says = keys.citation().map(|text| format!(" (it says: {text})")).unwrap_or_default();
+    let model = keys.shorts.get(&KEY_MODEL_TYPE).copied();
+    let code = match model {
+        Some(MODEL_PROJECTED) => keys.code(KEY_PROJECTED_CRS),
+        Some(MODEL_GEOGRAPHIC) => keys.code(KEY_GEODETIC_CRS),
+        _ => match keys.shorts.get(&KEY_PROJECTED_CRS) {
+            Some(_) => keys.code(KEY_PROJECTED_CRS),
+            None => keys.code(KEY_GEODETIC_CRS),
+        },
+    };
+    let Some(code) = code else {
+        notes.push(format!("the file gives no EPSG code for its CRS{says}"));
+        return None;
+    };
+    let crs = match Crs::from_epsg(u32::from(code)) {
+        Ok(crs) => crs,
+        Err(_) => {
+            notes.push(format!("the file's CRS EPSG:{code} is not in the registry of this build{says}"));
+            return None;
+        }
+    };
+    match crs.unit {
+        AxisUnit::Degree => {
+            let unit = keys.shorts.get(&KEY_ANGULAR_UNIT).copied().unwrap_or(UNIT_DEGREE);
+            if unit != UNIT_DEGREE && unit != UNIT_DEGREE_UNSPECIFIED {
+                notes.push(format!(
+                    "the file says {} but counts angles in unit {unit}, not degrees",
+                    crs.code
+                ));
+                return None;
+            }
+        }
+        AxisUnit::Metre(expected) => {
+            let found = match keys.shorts.get(&KEY_LINEAR_UNIT).copied() {
+                Some(UNIT_METRE) => Some(1.0),
+                Some(UNIT_FOOT) => Some(0.3048),
+                Some(UNIT_US_FOOT) => Some(US_FOOT_M),
+                Some(USER_DEFINED) => keys.doubles.get(&KEY_LINEAR_UNIT_METRES).copied(),
+                _ => None,
+            };
+            // One part in a million divides the two feet.
+            if let Some(found) = found.filter(|f| (f / expected - 1.0).abs() > 1e-6 || f.is_nan()) {
+                notes.push(format!(
+                    "the file says {} (unit {expected} m) but its own unit is {found} m; name the CRS",
+                    crs.code
+                ));
+                return None;
+            }
+        }
+    }
+    Some(crs)
+}
+
+/// A note if the file says that heights are not in metres.
+pub fn height_unit_note(keys: &GeoKeys, unit: Option<&str>) -> Option<String> {
+    let by_key = match keys.shorts.get(&KEY_VERTICAL_UNIT) {
+        Some(&UNIT_FOOT) => Some("feet"),
+        Some(&UNIT_US_FOOT) => Some("US survey feet"),
+        _ => None,
+    };
+    let metres = ["m", "metre", "meter", "metres", "meters"];
+    let by_tag = unit.filter(|u| !metres.contains(&u.to_ascii_lowercase().as_str()));
+    by_tag.or(by_key).map(|unit| format!("the file gives heights in '{unit}'; they are taken as metres"))
+}

@@ -1,0 +1,345 @@
+//! A GeoTIFF as a source of heights: band 1 of the first image.
+//!
+//! Rows of uncompressed strips are read straight from the file, so that one strip may be the whole image;
+//! everything else is decoded block by block by `tiff-reader`, whose cache holds one row of blocks, so
+//! that windows going down the file decode each block once.
+
+use super::blocks::{Blocks, sample_type, tiff_error};
+use super::georef::{self, GeoKeys};
+use super::metadata::{parse_band_metadata, parse_nodata, shorten};
+use crate::base::{Error, Result, limits};
+use crate::format::voids::Voids;
+use crate::format::window;
+use crate::height::source::{HeightSource, SampleType, Samples, SourceInfo, Window};
+use std::path::Path;
+use std::sync::Arc;
+use tiff_reader::source::{BytesSource, FileSource, SharedSource};
+use tiff_reader::{ByteOrder, Ifd, OpenOptions, ParseBudgets, TiffError, TiffFile};
+
+const TAG_SUBFILE_TYPE: u16 = 254;
+const TAG_EXTRA_SAMPLES: u16 = 338;
+const TAG_GDAL_METADATA: u16 = 42112;
+const TAG_GDAL_NODATA: u16 = 42113;
+const SUBFILE_OVERVIEW: u32 = 1;
+const SUBFILE_MASK: u32 = 4;
+const EXTRA_ALPHA: [u16; 2] = [1, 2];
+
+/// The shorter of the two headers.
+const HEADER_BYTES: u64 = 8;
+/// Images in one file (overviews, masks, pages).
+const IMAGES_MAX: usize = 1000;
+/// Bytes of all tags of a file: tables of 16 million blocks and some more.
+const TAG_BYTES_MAX: usize = 256 << 20;
+/// Rows worth reading together, where blocks are flatter.
+const ROW_BATCH_MIN: u64 = 64;
+/// Posts of one batch of rows, where blocks are taller.
+const ROW_BATCH_POSTS: u64 = 16 << 20;
+/// Bytes of decoded blocks kept for windows that do not follow the batches.
+const CACHE_BYTES: u64 = 64 << 20;
+/// Bytes read at once from uncompressed strips.
+const PLAIN_READ_BYTES: u64 = 8 << 20;
+
+/// What marks posts as void besides nodata.
+enum Mask {
+    None,
+    /// Image number in the file: zero is void.
+    Image(usize),
+    /// Band of the first image: zero is void.
+    Alpha(usize),
+}
+
+/// Band 1 of the first image of a GeoTIFF.
+pub struct GeoTiff {
+    info: SourceInfo,
+    tiff: TiffFile,
+    blocks: Blocks,
+    mask: Mask,
+    voids: Voids,
+    /// Sample in place of blocks that are not stored, and whether it is a void.
+    missing: (Vec<u8>, bool),
+}
+
+impl GeoTiff {
+    /// Opens a file and reads its tags; no sample is read.
+    ///
+    /// # Errors
+    /// As [`crate::format::open`].
+    pub fn open(path: &Path) -> Result<GeoTiff> {
+        let file = path.display().to_string();
+        let source = FileSource::open(path).map_err(|e| tiff_error(&file, "file", e))?;
+        let mut opened = GeoTiff::new(file, Arc::new(source))?;
+        let no_place = opened.info.affine.is_none();
+        let beside =
+            [("msk", "mask", true), ("tfw", "world file", no_place), ("wld", "world file", no_place)];
+        for (extension, what, matters) in beside {
+            let name = match extension {
+                "msk" => path.with_added_extension(extension),
+                _ => path.with_extension(extension),
+            };
+            if matters && name.exists() {
+                opened.info.notes.push(format!("the {what} {} beside the file is not read", name.display()));
+            }
+        }
+        Ok(opened)
+    }
+
+    /// Opens a file that lies in memory.
+    ///
+    /// # Errors
+    /// As [`GeoTiff::open`].
+    pub fn from_bytes(name: &str, bytes: Vec<u8>) -> Result<GeoTiff> {
+        GeoTiff::new(name.to_string(), Arc::new(BytesSource::new(bytes)))
+    }
+
+    fn new(file: String, source: SharedSource) -> Result<GeoTiff> {
+        let span_bytes = source.len();
+        if span_bytes < HEADER_BYTES {
+            let reason = format!("the file has {span_bytes} bytes, a header alone has {HEADER_BYTES}");
+            return Err(Error::corrupt(file, "header", reason));
+        }
+        let mut options = OpenOptions {
+            block_cache_bytes: CACHE_BYTES as usize,
+            block_cache_slots: 257,
+            parse_budgets: ParseBudgets {
+                max_ifds: IMAGES_MAX,
+                max_ifd_entries: 4096,
+                max_tag_value_bytes: TAG_BYTES_MAX,
+                max_metadata_value_bytes: TAG_BYTES_MAX,
+            },
+            decode_output_bytes: limits::INPUT_BLOCK_BYTES_MAX as usize,
+        };
+        let parse = |options| {
+            TiffFile::from_source_with_options(source.clone(), options)
+                .map_err(|e| tiff_error(&file, "header or image directory", e))
+        };
+        let mut tiff = parse(options)?;
+        let ifd = tiff.ifd(0).map_err(|_| Error::corrupt(&file, "header", "the file holds no image"))?;
+        let sample_type = sample_type(&file, ifd)?;
+        let (blocks, layout) = Blocks::check(&file, span_bytes, ifd)?;
+
+        // The cache is fixed at opening: open again if one row of blocks does not fit into the usual one.
+        let row_bytes = blocks.across.saturating_mul(blocks.block_bytes);
+        let batches_split_blocks = !row_batch(&blocks).is_multiple_of(blocks.block_rows);
+        if blocks.across > 250 || (batches_split_blocks && row_bytes > CACHE_BYTES && !reads_plain(&blocks)) {
+            options.block_cache_slots = blocks.across as usize + 8;
+            options.block_cache_bytes = row_bytes.clamp(CACHE_BYTES, limits::INPUT_BLOCK_BYTES_MAX) as usize;
+            tiff = parse(options)?;
+        }
+        let ifd = tiff.ifd(0).map_err(|e| tiff_error(&file, "header", e))?;
+
+        let mut notes = Vec::new();
+        if layout.samples_per_pixel > 1 {
+            notes.push(format!("the file has {} bands; the first is read", layout.samples_per_pixel));
+        }
+        if ifd.photometric_interpretation() == Some(2) {
+            notes.push("the file is a colour picture (RGB); its red band is read as heights".to_string());
+        }
+        let pages =
+            tiff.ifds().iter().skip(1).filter(|i| subfile(i) & (SUBFILE_OVERVIEW | SUBFILE_MASK) == 0);
+        let pages = pages.count();
+        if pages > 0 {
+            notes.push(format!("the file has {} images; the first is read", pages + 1));
+        }
+        let keys = GeoKeys::read(ifd);
+        let affine = georef::affine(ifd, &keys, &mut notes);
+        let crs = georef::crs(&keys, &mut notes);
+        let text = |tag| ifd.tag(tag).and_then(|t| t.value.as_str());
+        let band = parse_band_metadata(text(TAG_GDAL_METADATA).unwrap_or(""), &mut notes);
+        notes.extend(georef::height_unit_note(&keys, band.unit.as_deref()));
+        let nodata = match text(TAG_GDAL_NODATA) {
+            None => None,
+            Some(text) => parse_nodata(text).or_else(|| {
+                notes.push(format!("the file's nodata value '{}' is not a number; ignored", shorten(text)));
+                None
+            }),
+        };
+        let voids = Voids::new(sample_type, nodata);
+        notes.extend(voids.note());
+        let missing = match voids.nodata_bytes() {
+            Some(bytes) => (bytes, true),
+            None => (vec![0; sample_type.bytes()], false),
+        };
+        let mask = find_mask(&file, span_bytes, &tiff, &mut notes)?;
+        let info = SourceInfo {
+            file,
+            format: "GeoTIFF",
+            cols: blocks.cols,
+            rows: blocks.rows,
+            sample_type,
+            affine,
+            crs,
+            nodata,
+            scale: band.scale,
+            offset: band.offset,
+            accuracy_m: None,
+            product: None,
+            notes,
+        };
+        Ok(GeoTiff { info, tiff, blocks, mask, voids, missing })
+    }
+
+    /// Reads one band of one image as little-endian samples.
+    fn decode(&self, image: usize, band: usize, w: Window) -> Result<Vec<u8>> {
+        let place = |index: usize| match image {
+            0 => self.blocks.place(index),
+            _ => format!("block {index} of the mask"),
+        };
+        let ifd = self.tiff.ifd(image).map_err(|e| tiff_error(&self.info.file, "header", e))?;
+        let (row, col) = (w.row as usize, w.col as usize);
+        let mut data =
+            self.tiff.read_band_window_bytes_from_ifd(ifd, band, row, col, w.rows, w.cols).map_err(|e| {
+                let place = match &e {
+                    TiffError::DecompressionFailed { index, .. } => place(*index),
+                    _ => format!("rows {row} to {}", row + w.rows),
+                };
+                tiff_error(&self.info.file, &place, e)
+            })?;
+        if cfg!(target_endian = "big") && image == 0 {
+            reverse_samples(&mut data, self.info.sample_type);
+        }
+        Ok(data)
+    }
+
+    /// Reads one band of the first image as little-endian samples, the cheaper way.
+    fn read_band(&self, band: usize, w: Window) -> Result<Vec<u8>> {
+        if reads_plain(&self.blocks) { self.read_plain(band, w) } else { self.decode(0, band, w) }
+    }
+
+    /// Takes one band of the rows of uncompressed strips from the file as they are.
+    fn read_plain(&self, band: usize, w: Window) -> Result<Vec<u8>> {
+        let b = &self.blocks;
+        let (stride, width) = (b.stride_bytes as u64, b.sample_bytes);
+        let row_bytes = b.cols * stride;
+        let whole_rows = w.col == 0 && w.cols as u64 == b.cols;
+        let mut data = vec![0; w.cols * w.rows * width];
+        let mut row = w.row;
+        let end = w.row + w.rows as u64;
+        while row < end {
+            let strip = row / b.block_rows;
+            // Whole rows follow one another in the file: several at once.
+            let most = if whole_rows { (PLAIN_READ_BYTES / row_bytes).max(1) } else { 1 };
+            let rows = most.min(end - row).min((strip + 1) * b.block_rows - row);
+            if let Some(offset) = b.offset(strip) {
+                let at = offset + (row - strip * b.block_rows) * row_bytes + w.col * stride;
+                let span = if whole_rows { rows * row_bytes } else { w.cols as u64 * stride };
+                let bytes = self.tiff.source().read_exact_at(at, span as usize);
+                let bytes = bytes.map_err(|e| tiff_error(&self.info.file, &b.place(strip as usize), e))?;
+                let to = (row - w.row) as usize * w.cols * width;
+                let out = data[to..].chunks_exact_mut(width);
+                for (sample, pixel) in out.zip(bytes.chunks_exact(b.stride_bytes)) {
+                    sample.copy_from_slice(&pixel[band * width..][..width]);
+                }
+            }
+            row += rows;
+        }
+        if self.tiff.byte_order() == ByteOrder::BigEndian {
+            reverse_samples(&mut data, self.info.sample_type);
+        }
+        Ok(data)
+    }
+}
+
+impl HeightSource for GeoTiff {
+    fn info(&self) -> &SourceInfo {
+        &self.info
+    }
+
+    fn set_nodata(&mut self, value: f64) {
+        self.info.nodata = Some(value);
+        self.voids = Voids::new(self.info.sample_type, Some(value));
+        self.info.notes.extend(self.voids.note());
+    }
+
+    fn read(&mut self, w: Window) -> Result<Samples> {
+        window::check(&self.info, w)?;
+        if w.cols == 0 || w.rows == 0 {
+            return Ok(Samples { cols: w.cols, rows: w.rows, ..Samples::default() });
+        }
+        let mut data = self.read_band(0, w)?;
+        let width = self.info.sample_type.bytes();
+        let (fill, fill_is_void) = &self.missing;
+        if fill.iter().any(|b| *b != 0) {
+            self.blocks.each_missing(w, |row, from, to| {
+                let run = &mut data[(row * w.cols + from) * width..(row * w.cols + to) * width];
+                run.chunks_exact_mut(width).for_each(|sample| sample.copy_from_slice(fill));
+            });
+        }
+        let mut valid = self.voids.valid(&data);
+        if *fill_is_void {
+            self.blocks
+                .each_missing(w, |row, from, to| valid[row * w.cols + from..row * w.cols + to].fill(0));
+        }
+        let (mask, mask_width) = match self.mask {
+            Mask::None => {
+                return Ok(Samples { cols: w.cols, rows: w.rows, data, valid });
+            }
+            Mask::Image(image) => (self.decode(image, 0, w)?, 1),
+            Mask::Alpha(band) => (self.read_band(band, w)?, width),
+        };
+        for (valid, mask) in valid.iter_mut().zip(mask.chunks_exact(mask_width)) {
+            if mask.iter().all(|b| *b == 0) {
+                *valid = 0;
+            }
+        }
+        Ok(Samples { cols: w.cols, rows: w.rows, data, valid })
+    }
+
+    fn row_batch(&self) -> usize {
+        row_batch(&self.blocks) as usize
+    }
+}
+
+/// Rows of a batch: whole blocks, at least 64 rows, unless that is more posts than fit.
+fn row_batch(blocks: &Blocks) -> u64 {
+    let most = (ROW_BATCH_POSTS / blocks.cols).max(1);
+    let whole = ROW_BATCH_MIN.div_ceil(blocks.block_rows) * blocks.block_rows;
+    if whole <= most { whole } else { most.min(ROW_BATCH_MIN) }
+}
+
+/// Whether rows are taken from the file without decoding.
+fn reads_plain(blocks: &Blocks) -> bool {
+    blocks.plain && !blocks.tiled
+}
+
+fn subfile(ifd: &Ifd) -> u32 {
+    ifd.tag(TAG_SUBFILE_TYPE).and_then(|t| t.value.as_u32()).unwrap_or(0)
+}
+
+/// The mask image of the file, else an alpha band.
+fn find_mask(file: &str, span_bytes: u64, tiff: &TiffFile, notes: &mut Vec<String>) -> Result<Mask> {
+    let Ok(first) = tiff.ifd(0) else {
+        return Ok(Mask::None);
+    };
+    let masks = tiff.ifds().iter().enumerate().skip(1);
+    for (index, ifd) in masks.filter(|(_, i)| subfile(i) & (SUBFILE_MASK | SUBFILE_OVERVIEW) == SUBFILE_MASK)
+    {
+        let bits = ifd.bits_per_sample().ok().and_then(|b| b.first().copied());
+        let same_size = (ifd.width(), ifd.height()) == (first.width(), first.height());
+        if !same_size || !matches!(bits, Some(1 | 8)) || ifd.samples_per_pixel() != 1 {
+            notes.push(format!("mask image {index} does not fit the grid; ignored"));
+            continue;
+        }
+        Blocks::check(&format!("{file} (mask)"), span_bytes, ifd)?;
+        return Ok(Mask::Image(index));
+    }
+    let extra = first.tag(TAG_EXTRA_SAMPLES).and_then(|t| t.value.as_u16_slice()).unwrap_or(&[]);
+    let bands = usize::from(first.samples_per_pixel());
+    if let Some(i) = extra.iter().position(|e| EXTRA_ALPHA.contains(e))
+        && extra.len() < bands
+    {
+        // Bands of separate planes lie in other blocks, which were not held against the file.
+        if first.planar_configuration() == 1 {
+            notes.push("posts where the alpha band is zero are void".to_string());
+            return Ok(Mask::Alpha(bands - extra.len() + i));
+        }
+        notes.push("the file has an alpha band in a plane of its own; ignored".to_string());
+    }
+    Ok(Mask::None)
+}
+
+fn reverse_samples(data: &mut [u8], sample_type: SampleType) {
+    let width = sample_type.bytes();
+    if width > 1 {
+        data.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    }
+}

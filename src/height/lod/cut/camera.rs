@@ -1,0 +1,259 @@
+//! Perspective cameras: the exact tolerance of section 5.3 of the LOD-space specification.
+//!
+//! A vertical shift of delta at depth w moves its image by D delta rho / (w (w -+ delta sin a)) pixels, so
+//! `delta = tau w^2 / (D rho + tau |sin a| w)`. The paper's formula uses the distance in place of the depth and is not
+//! conservative; this one is, at any pitch and roll.
+
+use super::{Cut, Region};
+use crate::base::{Error, Result};
+
+/// A pinhole camera over terrain. Lengths in metres, CRS axes x east, y north.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    pub eye: [f64; 3],
+    /// Horizontal heading, unit length.
+    forward: [f64; 2],
+    /// Sine and cosine of the downward pitch.
+    pitch_sin: f64,
+    pitch_cos: f64,
+    /// Pixels per unit of tangent: half the viewport height over tan(half the vertical field of view).
+    focal: f64,
+    half_width: f64,
+    half_height: f64,
+    /// Allowed displacement, pixels.
+    pub pixels: f64,
+    pub near: f64,
+    pub far: f64,
+    /// Height of the eye above the bounding height of the terrain (see [`Camera::over`]).
+    h: f64,
+}
+
+impl Camera {
+    /// `fov_deg` is the vertical field of view, `viewport` in pixels (width, height).
+    pub fn new(
+        eye: [f64; 3],
+        look_at: [f64; 3],
+        fov_deg: f64,
+        viewport: [u32; 2],
+        pixels: f64,
+        far: Option<f64>,
+    ) -> Result<Camera> {
+        let d = [look_at[0] - eye[0], look_at[1] - eye[1], look_at[2] - eye[2]];
+        let flat = d[0].hypot(d[1]);
+        let length = flat.hypot(d[2]);
+        if !(length.is_finite() && length > 0.0) {
+            return Err(Error::invalid("--look-at", "is the same point as --eye; give the point that the camera looks at"));
+        }
+        if !(fov_deg > 0.0 && fov_deg < 180.0) {
+            return Err(Error::invalid("--fov", format!("{fov_deg} degrees; it must lie between 0 and 180")));
+        }
+        if viewport[0] == 0 || viewport[1] == 0 {
+            return Err(Error::invalid("--viewport", format!("{} x {} pixels is empty", viewport[0], viewport[1])));
+        }
+        if !(pixels > 0.0 && pixels.is_finite()) {
+            return Err(Error::invalid("--pixels", format!("{pixels}; it must be positive")));
+        }
+        let forward = if flat > 0.0 { [d[0] / flat, d[1] / flat] } else { [0.0, 1.0] };
+        let half_height = (fov_deg.to_radians() / 2.0).tan();
+        let far = far.unwrap_or(100_000.0);
+        if !(far > 0.0 && far.is_finite()) {
+            return Err(Error::invalid("--far", format!("{far} m; it must be positive")));
+        }
+        Ok(Camera {
+            eye,
+            forward,
+            pitch_sin: -d[2] / length,
+            pitch_cos: flat / length,
+            focal: f64::from(viewport[1]) / 2.0 / half_height,
+            half_width: half_height * f64::from(viewport[0]) / f64::from(viewport[1]),
+            half_height,
+            pixels,
+            near: (far * 1e-5).max(0.01),
+            far,
+            h: 0.0,
+        })
+    }
+
+    /// Fixes the bounding height: the highest terrain if the camera looks down, the lowest if up.
+    pub fn over(mut self, z_min: f64, z_max: f64) -> Camera {
+        self.h = self.eye[2] - if self.pitch_sin > 0.0 { z_max } else { z_min };
+        self
+    }
+
+    /// Forward and right of the eye, horizontally.
+    fn local(&self, p: [f64; 2]) -> (f64, f64) {
+        let (dx, dy) = (p[0] - self.eye[0], p[1] - self.eye[1]);
+        (dx * self.forward[0] + dy * self.forward[1], dx * self.forward[1] - dy * self.forward[0])
+    }
+
+    fn depth(&self, x: f64) -> f64 {
+        (x * self.pitch_cos + self.h * self.pitch_sin).max(self.near)
+    }
+
+    fn tolerance(&self, w: f64, rho: f64) -> f64 {
+        let s = self.pitch_sin.abs();
+        self.pixels * w * w / (self.focal * rho + self.pixels * s * w)
+    }
+
+    /// The ground that can be seen while heights stay in `[z_min, z_max]`: a convex polygon, perhaps empty.
+    pub fn footprint(&self, z_min: f64, z_max: f64) -> Region {
+        let (f, (s, c)) = (self.forward, (self.pitch_sin, self.pitch_cos));
+        let axis = [f[0] * c, f[1] * c, -s];
+        let right = [f[1], -f[0], 0.0];
+        let up = [f[0] * s, f[1] * s, c];
+        let corner = |w: f64, a: f64, b: f64| -> [f64; 3] {
+            [0, 1, 2].map(|k| {
+                self.eye[k] + w * (axis[k] + a * self.half_width * right[k] + b * self.half_height * up[k])
+            })
+        };
+        let signs = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let near: Vec<[f64; 3]> = signs.iter().map(|&(a, b)| corner(self.near, a, b)).collect();
+        let far: Vec<[f64; 3]> = signs.iter().map(|&(a, b)| corner(self.far, a, b)).collect();
+        let mut edges = Vec::new();
+        for k in 0..4 {
+            edges.push((near[k], near[(k + 1) % 4]));
+            edges.push((far[k], far[(k + 1) % 4]));
+            edges.push((near[k], far[k]));
+        }
+        let mut points = Vec::new();
+        for (a, b) in edges {
+            for p in [a, b] {
+                if (z_min..=z_max).contains(&p[2]) {
+                    points.push([p[0], p[1]]);
+                }
+            }
+            for z in [z_min, z_max] {
+                if (a[2] - z) * (b[2] - z) < 0.0 {
+                    let t = (z - a[2]) / (b[2] - a[2]);
+                    points.push([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]);
+                }
+            }
+        }
+        Region::hull(points)
+    }
+}
+
+impl Cut for Camera {
+    fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64) {
+        let s = self.pitch_sin.abs();
+        let (mut w_min, mut w_max, mut rho_max) = (f64::INFINITY, 0.0f64, 0.0f64);
+        let mut scaled = Vec::with_capacity(polygon.len());
+        for p in polygon {
+            let (x, y) = self.local(*p);
+            let w = self.depth(x);
+            w_min = w_min.min(w);
+            w_max = w_max.max(w);
+            rho_max = rho_max.max(x.hypot(s * y));
+            scaled.push([x, s * y]);
+        }
+        let rho_min = distance_to_origin(&scaled);
+        let lo = self.tolerance(w_min, rho_max);
+        let hi = self.tolerance(w_max, rho_min);
+        // The last digits: bounds may be loose, never tight in the wrong direction.
+        (lo * (1.0 - 1e-12), if hi.is_nan() { f64::INFINITY } else { hi * (1.0 + 1e-12) })
+    }
+
+    fn at(&self, p: [f64; 2]) -> f64 {
+        let (x, y) = self.local(p);
+        let t = self.tolerance(self.depth(x), x.hypot(self.pitch_sin * y));
+        if t.is_nan() { f64::INFINITY } else { t }
+    }
+}
+
+/// Distance of the origin from a convex polygon (0 inside).
+fn distance_to_origin(p: &[[f64; 2]]) -> f64 {
+    let n = p.len();
+    let (mut left, mut right) = (false, false);
+    let mut least = f64::INFINITY;
+    for k in 0..n {
+        let (a, b) = (p[k], p[(k + 1) % n]);
+        let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
+        let turn = ex * -a[1] - ey * -a[0];
+        left |= turn > 0.0;
+        right |= turn < 0.0;
+        let l2 = ex * ex + ey * ey;
+        let t = if l2 > 0.0 { (-(a[0] * ex + a[1] * ey) / l2).clamp(0.0, 1.0) } else { 0.0 };
+        least = least.min((a[0] + t * ex).hypot(a[1] + t * ey));
+    }
+    if n >= 3 && !(left && right) { 0.0 } else { least }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn random(state: &mut u64) -> f64 {
+        *state ^= *state << 13;
+        *state ^= *state >> 7;
+        *state ^= *state << 17;
+        (*state >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Projects a point and the same point shifted up or down by `delta`, and returns the distance in pixels.
+    fn displacement(c: &Camera, p: [f64; 3], delta: f64) -> Option<f64> {
+        let project = |z: f64| {
+            let (x, y) = c.local([p[0], p[1]]);
+            let h = c.eye[2] - z;
+            let w = x * c.pitch_cos + h * c.pitch_sin;
+            let v = x * c.pitch_sin - h * c.pitch_cos;
+            (w, c.focal * y / w, c.focal * v / w)
+        };
+        let (w0, a0, b0) = project(p[2]);
+        if w0 < c.near {
+            return None;
+        }
+        let (w1, a1, b1) = project(p[2] + delta);
+        (w1 > 0.0).then(|| (a1 - a0).hypot(b1 - b0))
+    }
+
+    #[test]
+    fn a_shift_by_the_tolerance_moves_no_visible_point_by_more_than_asked() {
+        let mut s = 0x9e37_79b9_7f4a_7c15;
+        let mut seen = 0;
+        for _ in 0..200_000 {
+            let eye = [0.0, 0.0, 100.0 + 3000.0 * random(&mut s)];
+            let look = [2000.0 * random(&mut s) - 1000.0, 2000.0 * random(&mut s) - 1000.0, 3000.0 * random(&mut s)];
+            let pixels = 0.5 + 3.0 * random(&mut s);
+            let c = Camera::new(eye, look, 20.0 + 90.0 * random(&mut s), [1280, 720], pixels, Some(20_000.0)).unwrap();
+            let z = 90.0 * random(&mut s);
+            let c = c.over(0.0, 90.0);
+            let p = [20_000.0 * random(&mut s) - 10_000.0, 20_000.0 * random(&mut s) - 10_000.0];
+            let delta = c.at(p);
+            for sign in [-1.0, 1.0] {
+                if let Some(d) = displacement(&c, [p[0], p[1], z], sign * delta) {
+                    assert!(d <= pixels * (1.0 + 1e-9), "{d} px, {pixels} asked: {c:?} {p:?} {z}");
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 100_000, "{seen}");
+    }
+
+    #[test]
+    fn bounds_hold_over_polygons() {
+        let mut s = 42;
+        for _ in 0..3000 {
+            let eye = [100.0, -50.0, 500.0];
+            let look = [1000.0 * random(&mut s), 1000.0 * random(&mut s), 900.0 * random(&mut s)];
+            let c = Camera::new(eye, look, 60.0, [800, 600], 1.0, None).unwrap().over(0.0, 200.0);
+            let pts: Vec<[f64; 2]> =
+                (0..5).map(|_| [4000.0 * random(&mut s) - 2000.0, 4000.0 * random(&mut s) - 2000.0]).collect();
+            let hull = Region::hull(pts).polygon;
+            let (lo, hi) = c.bounds(&hull);
+            for _ in 0..60 {
+                let w: Vec<f64> = hull.iter().map(|_| random(&mut s)).collect();
+                let t: f64 = w.iter().sum();
+                let p = [0, 1].map(|k| hull.iter().zip(&w).map(|(v, w)| v[k] * w / t).sum::<f64>());
+                let d = c.at(p);
+                assert!(lo <= d && d <= hi, "{lo} {d} {hi}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_level_camera_sees_a_plane() {
+        let c = Camera::new([0.0, 0.0, 10.0], [1.0, 0.0, 10.0], 60.0, [800, 600], 1.0, None).unwrap().over(0.0, 5.0);
+        let (a, b, m) = (c.at([100.0, 40.0]), c.at([300.0, -90.0]), c.at([200.0, 0.0]));
+        assert!(((a + b) / 2.0 - m).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,28 @@
+//! Tolerance surfaces: how much error is allowed where. Predicates only; the tree does not know which is which.
+
+mod camera;
+mod region;
+
+pub use camera::Camera;
+pub use region::Region;
+
+/// A tolerance over the plane, metres (section 5.2 of the LOD-space specification).
+pub trait Cut: Sync {
+    /// Bounds `(lo, hi)` of the tolerance over a convex polygon; loose ones only return extra patches.
+    fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64);
+    /// The tolerance at a point.
+    fn at(&self, p: [f64; 2]) -> f64;
+}
+
+/// The same tolerance everywhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Constant(pub f64);
+
+impl Cut for Constant {
+    fn bounds(&self, _: &[[f64; 2]]) -> (f64, f64) {
+        (self.0, self.0)
+    }
+    fn at(&self, _: [f64; 2]) -> f64 {
+        self.0
+    }
+}

@@ -1,0 +1,15 @@
+//! Heights as mathematics: no files, no clocks, no threads.
+//!
+//! [`source`] is what a survey file gives (rows on demand); [`crs`] what its coordinates mean;
+//! [`frame`] places posts on the exact integer lattice; [`cells`] are sets of level-0 cells; [`patch`]
+//! are bilinear pieces with a stored error; [`lod`] orders them, cuts their boxes and decides coverage
+//! exactly; [`surface`] blends them into the one function that is measured and drawn.
+
+pub mod block;
+pub mod cells;
+pub mod crs;
+pub mod frame;
+pub mod lod;
+pub mod patch;
+pub mod source;
+pub mod surface;

@@ -1,0 +1,157 @@
+//! What a survey file gives: a grid of samples in their own type, read window by window.
+
+use super::crs::Crs;
+use crate::base::Result;
+use std::path::Path;
+
+/// How one sample is stored. Samples are kept in this type, bit for bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum SampleType {
+    U8 = 1,
+    I8 = 2,
+    U16 = 3,
+    I16 = 4,
+    U32 = 5,
+    I32 = 6,
+    F32 = 7,
+    F64 = 8,
+}
+
+impl SampleType {
+    pub const ALL: [SampleType; 8] = [
+        SampleType::U8,
+        SampleType::I8,
+        SampleType::U16,
+        SampleType::I16,
+        SampleType::U32,
+        SampleType::I32,
+        SampleType::F32,
+        SampleType::F64,
+    ];
+
+    pub fn from_code(code: u8) -> Option<SampleType> {
+        SampleType::ALL.into_iter().find(|t| *t as u8 == code)
+    }
+
+    /// Bytes of one sample.
+    pub fn bytes(self) -> usize {
+        match self {
+            SampleType::U8 | SampleType::I8 => 1,
+            SampleType::U16 | SampleType::I16 => 2,
+            SampleType::U32 | SampleType::I32 | SampleType::F32 => 4,
+            SampleType::F64 => 8,
+        }
+    }
+
+    pub fn is_float(self) -> bool {
+        matches!(self, SampleType::F32 | SampleType::F64)
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            SampleType::U8 => "uint8",
+            SampleType::I8 => "int8",
+            SampleType::U16 => "uint16",
+            SampleType::I16 => "int16",
+            SampleType::U32 => "uint32",
+            SampleType::I32 => "int32",
+            SampleType::F32 => "float32",
+            SampleType::F64 => "float64",
+        }
+    }
+
+    /// The value of the little-endian sample at `bytes[..self.bytes()]`, exactly.
+    #[inline]
+    pub fn value(self, bytes: &[u8]) -> f64 {
+        match self {
+            SampleType::U8 => f64::from(bytes[0]),
+            SampleType::I8 => f64::from(bytes[0] as i8),
+            SampleType::U16 => f64::from(u16::from_le_bytes([bytes[0], bytes[1]])),
+            SampleType::I16 => f64::from(i16::from_le_bytes([bytes[0], bytes[1]])),
+            SampleType::U32 => f64::from(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
+            SampleType::I32 => f64::from(i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
+            SampleType::F32 => f64::from(f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
+            SampleType::F64 => f64::from_le_bytes([
+                bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7],
+            ]),
+        }
+    }
+}
+
+/// A rectangle of posts of a source: `col, row` is the first, counted from the file's first post.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    pub col: u64,
+    pub row: u64,
+    pub cols: usize,
+    pub rows: usize,
+}
+
+/// Samples of one window, row-major, little-endian in the source's type, and which of them are valid.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Samples {
+    pub cols: usize,
+    pub rows: usize,
+    /// `cols * rows * sample_type.bytes()` bytes, as they stood in the file (but little-endian).
+    pub data: Vec<u8>,
+    /// 1 = a height, 0 = a void (nodata value, NaN, infinite, masked). One byte a post.
+    pub valid: Vec<u8>,
+}
+
+/// Where posts lie: post (col, row) is at `origin + col * col_step + row * row_step`, in units of the CRS.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Affine {
+    pub origin: [f64; 2],
+    pub col_step: [f64; 2],
+    pub row_step: [f64; 2],
+}
+
+/// What a source says of itself before any sample is read.
+#[derive(Clone, Debug)]
+pub struct SourceInfo {
+    /// The file, as the user named it; used in errors.
+    pub file: String,
+    /// `GeoTIFF` or `HGT`.
+    pub format: &'static str,
+    pub cols: u64,
+    pub rows: u64,
+    pub sample_type: SampleType,
+    /// Position of post centres (pixel-is-area files: centre of the pixel). None: no georeference.
+    pub affine: Option<Affine>,
+    /// None: the file does not say.
+    pub crs: Option<Crs>,
+    /// The value that marks voids, as in the file.
+    pub nodata: Option<f64>,
+    /// height = sample * scale + offset, in metres unless the user says otherwise.
+    pub scale: f64,
+    pub offset: f64,
+    /// Vertical accuracy in metres, if the file is of a product whose accuracy is published.
+    pub accuracy_m: Option<f64>,
+    /// Name of that product, for messages.
+    pub product: Option<&'static str>,
+    /// Things a user should know (several bands: the first is read; CRS taken from ...).
+    pub notes: Vec<String>,
+}
+
+/// A grid of samples that can be read in windows, in any order, any number of times.
+pub trait HeightSource: Send {
+    fn info(&self) -> &SourceInfo;
+
+    /// Overrides the nodata value (`--nodata`).
+    fn set_nodata(&mut self, value: f64);
+
+    /// Reads one window.
+    ///
+    /// # Errors
+    /// If the window leaves the grid, or the file cannot be decoded there (`Error::Corrupt` with file and place).
+    fn read(&mut self, window: Window) -> Result<Samples>;
+
+    /// Rows that are cheap to read together (height of a strip or tile of the file).
+    fn row_batch(&self) -> usize {
+        64
+    }
+}
+
+/// Opens a file as a source. The implementation sits in `format/`; ingest knows only this type.
+pub type Opener<'a> = &'a dyn Fn(&Path) -> Result<Box<dyn HeightSource>>;

@@ -1,0 +1,162 @@
+//! Greedy insertion into a constrained Delaunay triangulation.
+//!
+//! M. Garland, P. S. Heckbert: Fast Polygonal Approximation of Terrains and Height Fields, CMU-CS-95-181,
+//! 1995, section 4 (algorithm III: greedy insertion, a heap of candidates, only changed triangles looked
+//! at again). The steps:
+//!
+//! 1. The border is split until the field along it is within the bound, and triangulated.
+//! 2. Every post waits in the triangle that it lies in. The one with the largest error of all becomes a
+//!    vertex, and the posts of the triangles that changed are shared among the new ones; until none is
+//!    above the bound.
+//! 3. The triangles are measured between the posts as well (see `measure`); points above the bound become
+//!    posts, and step 2 goes on. Only triangles that changed are measured again. It ends when nothing
+//!    above the bound is found.
+//!
+//! We depart from the paper in step 3, in the constraints, and in that posts may lie anywhere, on several
+//! rotated grids.
+
+use super::border::{border, sample_surely};
+use super::extract::{Extract, extract};
+use super::measure::{Lattice, measure, snap_heights};
+use super::tin::{BorderSplit, Site, Tin};
+use super::{Field, Mesh, MeshOptions, Polygon, grid_unit};
+use crate::base::{Error, Result};
+
+/// Insertions between two looks at the caller's wish to stop.
+const INSERTIONS_PER_LOOK: u32 = 2048;
+/// Posts asked of the field at a time.
+const SAMPLE_POINTS: usize = 1 << 18;
+/// A field that jumps keeps asking for vertices; this many rounds of measuring are enough for any other.
+const ROUNDS_MAX: u32 = 64;
+
+/// Lays triangles over `region` that are nowhere farther from `field` than `options.error_m`.
+///
+/// The border is followed exactly (to [`grid_unit`]), its edges shared by all; holes stay open. Errors are
+/// measured at every post, on a lattice 4 times finer than `options.step_m`, along all edges and at all
+/// centroids; [`Mesh::error_m`] is the largest one found. The same input gives the same mesh, whatever the
+/// number of threads. An empty region gives an empty mesh.
+///
+/// `progress` gets a fraction from 0 to 1 from time to time, in the calling thread; when it returns false
+/// the work stops.
+///
+/// Takes one evaluation of the field a post, 16 a step squared and about 10 a triangle (in parallel), and
+/// about 10 microseconds a vertex on one thread. Holds about 60 bytes a post and 500 a vertex.
+///
+/// # Errors
+/// [`Error::Invalid`] if an option is out of range, the outline crosses itself or the field has no height
+/// on the border; [`Error::Limit`] if more than `options.vertices_max` vertices are needed;
+/// [`Error::Stopped`] if `progress` said so.
+pub fn triangulate(
+    field: &dyn Field,
+    region: &[Polygon],
+    options: &MeshOptions,
+    progress: &dyn Fn(f64) -> bool,
+) -> Result<Mesh> {
+    let (bound, step) = (options.error_m, options.step_m);
+    if !(bound > 0.0 && bound.is_finite()) {
+        return Err(Error::invalid("error bound", format!("{bound} m is not above zero")));
+    }
+    if !(step > 0.0 && step.is_finite()) {
+        return Err(Error::invalid("post step", format!("{step} m is not above zero")));
+    }
+    let coordinates = || region.iter().flat_map(Polygon::rings).flatten().flatten();
+    if coordinates().any(|v| !v.is_finite()) {
+        return Err(Error::invalid("outline", "a coordinate is not a number"));
+    }
+    if coordinates().next().is_none() {
+        return Ok(Mesh::default());
+    }
+    let unit = grid_unit(coordinates().fold(0.0f64, |m, v| m.max(v.abs())));
+    let within_limit = |count: usize| match count <= options.vertices_max {
+        true => Ok(()),
+        false => Err(Error::limit("vertices of the mesh", options.vertices_max as u64, count as u64)),
+    };
+
+    let rim = border(field, region, (unit, step, bound))?;
+    within_limit(rim.knots.len())?;
+    let mut tin = Tin::new(rim.knots, &rim.edges, (unit, step, bound))?;
+    let look = |fraction: f64| if progress(fraction) { Ok(()) } else { Err(Error::Stopped) };
+    look(0.0)?;
+    for posts in options.posts.chunks(SAMPLE_POINTS) {
+        let mut sites = sites(field, posts);
+        snap_heights(&tin, field, sites.iter_mut().collect());
+        tin.scatter(&sites);
+        look(0.05)?;
+    }
+
+    let origin = options.posts.first().copied().unwrap_or([0.0; 2]);
+    let lattice = Lattice { origin, step, unit, bound };
+    let start = tin.worst_error().unwrap_or(bound).max(bound * 1.001);
+    for round in 0..ROUNDS_MAX {
+        // Greedy insertion takes up to 6 tenths, every round of measuring half of what is left.
+        let (done, share) =
+            if round == 0 { (0.1, 0.5) } else { (1.0 - 0.4 * 0.5f64.powi(round as i32), 0.0) };
+        let vertices = tin.vertex_count();
+        insert_all(&mut tin, field, (unit, step), &|tin| {
+            within_limit(tin.vertex_count())?;
+            let worst = tin.worst_error().unwrap_or(bound).clamp(bound, start);
+            look(done + share * (start / worst).ln() / (start / bound).ln())
+        })?;
+        if round > 0 && tin.vertex_count() == vertices {
+            break;
+        }
+        let (from, share) = (1.0 - 0.4 * 0.5f64.powi(round as i32), 0.2 * 0.5f64.powi(round as i32));
+        let found = measure(&mut tin, field, &lattice, &|part| progress(from + share * part))?;
+        if found == 0 {
+            break;
+        }
+    }
+
+    let Extract { positions, triangles } = extract(&tin);
+    within_limit(positions.len())?;
+    let (error_m, measured_points) = tin.error();
+    drop(tin);
+    let mut normals = Vec::with_capacity(positions.len());
+    for chunk in positions.chunks(SAMPLE_POINTS) {
+        let points: Vec<[f64; 2]> = chunk.iter().map(|p| [p[0], p[1]]).collect();
+        normals.extend(sample_surely(field, &points, unit, step)?.iter().map(|s| normal(s.dzdx, s.dzdy)));
+        look(0.99)?;
+    }
+    Ok(Mesh { positions, normals, triangles, error_m, measured_points })
+}
+
+/// Inserts sites, worst first, and splits the border edges that stand in the way, until no site is above
+/// the bound or none can be inserted.
+fn insert_all(
+    tin: &mut Tin,
+    field: &dyn Field,
+    (unit, step): (f64, f64),
+    look: &dyn Fn(&Tin) -> Result<()>,
+) -> Result<()> {
+    loop {
+        let mut count = 0;
+        while tin.insert_worst() {
+            count += 1;
+            if count % INSERTIONS_PER_LOOK == 0 {
+                look(tin)?;
+            }
+        }
+        look(tin)?;
+        let mut splits: Vec<BorderSplit> = std::mem::take(&mut tin.splits);
+        splits.sort_by_key(|s| s.edge);
+        splits.dedup_by_key(|s| s.edge);
+        let points: Vec<[f64; 2]> = splits.iter().map(|s| s.at).collect();
+        let heights = sample_surely(field, &points, unit, step)?;
+        let splits: Vec<(BorderSplit, f64)> = splits.into_iter().zip(heights.iter().map(|h| h.z)).collect();
+        if splits.is_empty() || tin.split_borders(&splits) == 0 {
+            return Ok(());
+        }
+    }
+}
+
+fn sites(field: &dyn Field, posts: &[[f64; 2]]) -> Vec<Site> {
+    let mut heights = Vec::with_capacity(posts.len());
+    field.sample(posts, &mut heights);
+    let known = posts.iter().zip(heights);
+    known.filter_map(|(p, s)| s.map(|s| Site { x: p[0], y: p[1], z: s.z, z_snapped: s.z })).collect()
+}
+
+fn normal(dzdx: f64, dzdy: f64) -> [f32; 3] {
+    let length = (dzdx * dzdx + dzdy * dzdy + 1.0).sqrt();
+    [(-dzdx / length) as f32, (-dzdy / length) as f32, (1.0 / length) as f32]
+}

@@ -1,0 +1,612 @@
+//! The growing triangulation and who is worst in it.
+//!
+//! Invariants:
+//! - vertices lie on the grid of [`grid_unit`](super::grid_unit), so cross products of them are exact;
+//! - `facets[f]` describes the face with index `f` of the triangulation, or is stale until [`Tin::rebuild`];
+//! - each site (a point where the error is watched) is in the list of the one facet that it lies in, or
+//!   parked: too near to a vertex or border to be inserted;
+//! - the heap holds the worst site of every facet whose error exceeds the bound. Entries of facets that
+//!   have changed since are recognised by their site no longer being the facet's worst.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+
+use spade::handles::{
+    DirectedEdgeHandle, FixedDirectedEdgeHandle, FixedFaceHandle, FixedVertexHandle, InnerTag,
+};
+use spade::{
+    CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, PositionInTriangulation, Triangulation,
+};
+
+use crate::base::{Error, Result};
+
+/// A vertex in the plane.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Knot {
+    pub x: f64,
+    pub y: f64,
+}
+
+impl HasPosition for Knot {
+    type Scalar = f64;
+    fn position(&self) -> Point2<f64> {
+        Point2::new(self.x, self.y)
+    }
+}
+
+pub(super) type Cdt = ConstrainedDelaunayTriangulation<Knot>;
+
+/// A point where the field is known.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Site {
+    pub x: f64,
+    pub y: f64,
+    /// The field here.
+    pub z: f64,
+    /// The field at the nearest point of the grid, where a vertex would be.
+    pub z_snapped: f64,
+}
+
+/// A face with the sites in it.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Facet {
+    /// Counter-clockwise.
+    pub corners: [u32; 3],
+    /// In the region.
+    pub inside: bool,
+    /// The fine lattice in it has been measured.
+    pub measured: bool,
+    /// Largest error on the fine lattice, and how many points that was.
+    pub fine_error: f64,
+    pub fine_points: u64,
+    sites: Vec<u32>,
+    worst: u32,
+    worst_error: f64,
+}
+
+/// Points nearer to a long border edge than this (steps) split the edge instead: a vertex next to the edge
+/// would leave a sliver along all of it, which needs another vertex, and so on.
+const RIM_STEPS: f64 = 0.5;
+
+const NONE: u32 = u32::MAX;
+
+/// z over the plane through three corners.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane {
+    x: f64,
+    y: f64,
+    z: f64,
+    gx: f64,
+    gy: f64,
+}
+
+impl Plane {
+    pub fn through(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> Plane {
+        let (bx, by, bz) = (b[0] - a[0], b[1] - a[1], b[2] - a[2]);
+        let (cx, cy, cz) = (c[0] - a[0], c[1] - a[1], c[2] - a[2]);
+        let cross = bx * cy - cx * by;
+        Plane { x: a[0], y: a[1], z: a[2], gx: (bz * cy - cz * by) / cross, gy: (bx * cz - cx * bz) / cross }
+    }
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        self.z + self.gx * (x - self.x) + self.gy * (y - self.y)
+    }
+}
+
+/// A border edge and the point on it where it shall be split.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BorderSplit {
+    pub edge: (u32, u32),
+    pub at: [f64; 2],
+}
+
+pub(super) struct Tin {
+    pub cdt: Cdt,
+    /// Height of each vertex; a 32-bit float.
+    pub z: Vec<f64>,
+    pub facets: Vec<Facet>,
+    pub sites: Vec<Site>,
+    /// Border splits that the sites which were too near to a border asked for.
+    pub splits: Vec<BorderSplit>,
+    /// What a vertex lost by its height being rounded to 32 bits, at most.
+    pub rounding: f64,
+    unit: f64,
+    near: f64,
+    rim: f64,
+    bound: f64,
+    /// By how much being inside grows when the edge (smaller index first) is crossed from right to left.
+    winding: HashMap<(u32, u32), i32>,
+    heap: BinaryHeap<(u64, Reverse<u32>, u32)>,
+    parked: Vec<u32>,
+    star: Vec<(u32, u32)>,
+    spokes: Vec<[f64; 2]>,
+    pool: Vec<u32>,
+    spare: Vec<Vec<u32>>,
+}
+
+impl Tin {
+    /// Triangulates the rings, given as vertices on the grid with their heights and directed edges that
+    /// have the region on their left.
+    pub fn new(
+        knots: Vec<[f64; 3]>,
+        edges: &[[u32; 2]],
+        (unit, step, bound): (f64, f64, f64),
+    ) -> Result<Tin> {
+        let vertices = knots.iter().map(|p| Knot { x: p[0], y: p[1] }).collect::<Vec<_>>();
+        let pairs = edges.iter().map(|e| [e[0] as usize, e[1] as usize]).collect();
+        let mut crossing = None;
+        let cdt = Cdt::try_bulk_load_cdt(vertices, pairs, |edge| crossing = Some(edge))
+            .map_err(|e| Error::invalid("outline", e))?;
+        if let Some([a, _]) = crossing {
+            let [x, y, _] = knots[a];
+            return Err(Error::invalid("outline", format!("it crosses itself near {x},{y}")));
+        }
+        if cdt.num_vertices() != knots.len() {
+            return Err(Error::invalid("outline", "vertices coincide"));
+        }
+        let (near, rim) = ((step * 1e-3).max(unit * 4.0), step * RIM_STEPS);
+        let mut tin = Tin {
+            cdt,
+            z: Vec::with_capacity(knots.len()),
+            facets: Vec::new(),
+            sites: Vec::new(),
+            splits: Vec::new(),
+            rounding: 0.0,
+            unit,
+            near,
+            rim,
+            bound,
+            winding: HashMap::new(),
+            heap: BinaryHeap::new(),
+            parked: Vec::new(),
+            star: Vec::new(),
+            spokes: Vec::new(),
+            pool: Vec::new(),
+            spare: Vec::new(),
+        };
+        knots.iter().for_each(|p| tin.push_height(p[2]));
+        for &[a, b] in edges {
+            tin.add_winding(a, b, 1);
+        }
+        tin.rebuild();
+        Ok(tin)
+    }
+
+    fn push_height(&mut self, z: f64) {
+        let rounded = f64::from(z as f32);
+        self.rounding = self.rounding.max((z - rounded).abs());
+        self.z.push(rounded);
+    }
+
+    /// Counts `amount` for the straight line from `a` to `b`, which may run through other vertices.
+    fn add_winding(&mut self, a: u32, b: u32, amount: i32) {
+        let direct = self.cdt.get_edge_from_neighbors(handle(a), handle(b)).map(|e| e.fix());
+        let mut edges = vec![];
+        match direct {
+            Some(edge) => edges.push(edge),
+            None => edges.extend(self.cdt.try_add_constraint(handle(a), handle(b))),
+        }
+        for edge in edges {
+            let edge = self.cdt.directed_edge(edge);
+            let (from, to) = (edge.from().index() as u32, edge.to().index() as u32);
+            let signed = if from < to { amount } else { -amount };
+            *self.winding.entry((from.min(to), from.max(to))).or_default() += signed;
+        }
+    }
+
+    pub fn vertex_count(&self) -> usize {
+        self.z.len()
+    }
+
+    pub fn snap(&self, x: f64) -> f64 {
+        (x / self.unit).round() * self.unit
+    }
+
+    pub fn position(&self, v: u32) -> [f64; 3] {
+        let at = self.cdt.vertex(handle(v)).position();
+        [at.x, at.y, self.z[v as usize]]
+    }
+
+    pub fn plane(&self, corners: [u32; 3]) -> Plane {
+        let [a, b, c] = corners.map(|v| self.position(v));
+        Plane::through(a, b, c)
+    }
+
+    /// Whether the edge is on the border of the region, and the index of the face on its other side.
+    pub fn across(&self, a: u32, b: u32) -> (bool, usize) {
+        match self.cdt.get_edge_from_neighbors(handle(a), handle(b)) {
+            None => (true, 0),
+            Some(edge) => {
+                let other = edge.rev().face().index();
+                (!self.facets.get(other).is_some_and(|f| f.inside && other > 0), other)
+            }
+        }
+    }
+
+    /// The largest error of the worst sites that are still to be inserted.
+    pub fn worst_error(&self) -> Option<f64> {
+        self.heap.peek().map(|(bits, ..)| f64::from_bits(*bits))
+    }
+
+    /// Inserts the worst site, if it is still the worst of its facet. False when no site is above the
+    /// bound any more.
+    pub fn insert_worst(&mut self) -> bool {
+        let Some((bits, Reverse(site), facet)) = self.heap.pop() else { return false };
+        let f = &self.facets[facet as usize];
+        if f.worst == site && f.worst_error.to_bits() == bits {
+            self.insert_site(site, facet);
+        }
+        true
+    }
+
+    fn insert_site(&mut self, site: u32, facet: u32) {
+        let Site { x, y, z_snapped, .. } = self.sites[site as usize];
+        let (x, y) = (self.snap(x), self.snap(y));
+        let hint = handle(self.facets[facet as usize].corners[0]);
+        let place = self.cdt.locate_with_hint(Point2::new(x, y), hint);
+        let around = match place {
+            PositionInTriangulation::OnFace(face) => Some(face.index()),
+            PositionInTriangulation::OnEdge(_) => Some(facet as usize),
+            _ => None,
+        };
+        let allowed = around.is_some_and(|face| self.is_clear(face, [x, y]));
+        if !allowed {
+            self.park(site, facet);
+            return;
+        }
+        let Ok(v) = self.cdt.insert_with_hint(Knot { x, y }, hint) else {
+            self.park(site, facet);
+            return;
+        };
+        debug_assert_eq!(v.index(), self.z.len());
+        self.push_height(z_snapped);
+        self.refill_star(v.index() as u32, site);
+    }
+
+    /// Whether a vertex may come to `p` in this face: not too near to its corners, nor to a border edge,
+    /// which is asked to be split instead.
+    fn is_clear(&mut self, face: usize, p: [f64; 2]) -> bool {
+        let Some(facet) = self.facets.get(face) else { return false };
+        if face == 0 {
+            return false;
+        }
+        let corners = facet.corners;
+        let at = corners.map(|v| self.position(v));
+        if at.iter().any(|c| (c[0] - p[0]).hypot(c[1] - p[1]) < self.near) {
+            return false;
+        }
+        for k in 0..3 {
+            let (a, b) = (corners[k], corners[(k + 1) % 3]);
+            let edge = self.cdt.get_edge_from_neighbors(handle(a), handle(b));
+            if !edge.is_some_and(|e| e.is_constraint_edge()) {
+                continue;
+            }
+            let (pa, pb) = (at[k], at[(k + 1) % 3]);
+            let (ex, ey) = (pb[0] - pa[0], pb[1] - pa[1]);
+            let squared = ex * ex + ey * ey;
+            let distance = (ex * (p[1] - pa[1]) - ey * (p[0] - pa[0])).abs() / squared.sqrt();
+            let t = (ex * (p[0] - pa[0]) + ey * (p[1] - pa[1])) / squared;
+            let from_end = t.min(1.0 - t) * squared.sqrt();
+            if distance < self.near || (distance < self.rim && from_end > distance) {
+                let at = [self.snap(pa[0] + t * ex), self.snap(pa[1] + t * ey)];
+                self.splits.push(BorderSplit { edge: (a.min(b), a.max(b)), at });
+                return false;
+            }
+        }
+        true
+    }
+
+    fn park(&mut self, site: u32, facet: u32) {
+        self.parked.push(site);
+        self.facets[facet as usize].sites.retain(|&s| s != site);
+        self.rescan(facet);
+    }
+
+    /// Finds the worst site of a facet again.
+    fn rescan(&mut self, facet: u32) {
+        let f = &self.facets[facet as usize];
+        let plane = self.plane(f.corners);
+        let (mut worst, mut worst_error) = (NONE, 0.0);
+        for &s in &f.sites {
+            let site = &self.sites[s as usize];
+            let error = (plane.at(site.x, site.y) - site.z).abs();
+            if error > worst_error || (error == worst_error && s < worst) {
+                (worst, worst_error) = (s, error);
+            }
+        }
+        let f = &mut self.facets[facet as usize];
+        (f.worst, f.worst_error) = (worst, worst_error);
+        if worst_error > self.bound {
+            self.heap.push((worst_error.to_bits(), Reverse(worst), facet));
+        }
+    }
+
+    /// After an insertion all changed faces are those around the new vertex: shares the sites of the old
+    /// ones among them.
+    fn refill_star(&mut self, v: u32, inserted: u32) {
+        let mut star = std::mem::take(&mut self.star);
+        let mut spokes = std::mem::take(&mut self.spokes);
+        let mut pool = std::mem::take(&mut self.pool);
+        star.clear();
+        spokes.clear();
+        pool.clear();
+        let centre = self.position(v);
+        if let Some(first) = self.cdt.vertex(handle(v)).out_edge() {
+            let mut edge = first;
+            loop {
+                let to = edge.to();
+                star.push((edge.face().index() as u32, to.index() as u32));
+                spokes.push([to.data().x - centre[0], to.data().y - centre[1]]);
+                edge = edge.ccw();
+                if edge == first {
+                    break;
+                }
+            }
+        }
+        let faces = self.cdt.num_all_faces();
+        if self.facets.len() < faces {
+            self.facets.resize_with(faces, Facet::default);
+        }
+        let keep_inserted = {
+            let s = &self.sites[inserted as usize];
+            s.x != centre[0] || s.y != centre[1]
+        };
+        for &(f, _) in &star {
+            let sites = &mut self.facets[f as usize].sites;
+            pool.extend(sites.iter().filter(|&&s| keep_inserted || s != inserted));
+            let mut sites = std::mem::take(sites);
+            sites.clear();
+            self.spare.push(sites);
+        }
+        let n = star.len();
+        let mut planes: [Plane; 16] = [Plane { x: 0.0, y: 0.0, z: 0.0, gx: 0.0, gy: 0.0 }; 16];
+        let mut many = Vec::new();
+        let planes: &mut [Plane] = if n <= 16 {
+            &mut planes[..n]
+        } else {
+            many.resize(n, planes[0]);
+            &mut many
+        };
+        for i in 0..n {
+            let (f, a) = star[i];
+            let b = star[(i + 1) % n].1;
+            planes[i] = Plane::through(centre, self.position(a), self.position(b));
+            let sites = self.spare.pop().unwrap_or_default();
+            self.facets[f as usize] =
+                Facet { corners: [v, a, b], inside: true, sites, worst: NONE, ..Facet::default() };
+        }
+        for &s in &pool {
+            let site = &self.sites[s as usize];
+            let (x, y) = (site.x - centre[0], site.y - centre[1]);
+            let i = wedge(&spokes, x, y);
+            let error = (planes[i].at(site.x, site.y) - site.z).abs();
+            let facet = &mut self.facets[star[i].0 as usize];
+            facet.sites.push(s);
+            if error > facet.worst_error || (error == facet.worst_error && s < facet.worst) {
+                (facet.worst, facet.worst_error) = (s, error);
+            }
+        }
+        for &(f, _) in &star {
+            let facet = &self.facets[f as usize];
+            if facet.worst_error > self.bound {
+                self.heap.push((facet.worst_error.to_bits(), Reverse(facet.worst), f));
+            }
+        }
+        (self.star, self.spokes, self.pool) = (star, spokes, pool);
+    }
+
+    /// Adds sites to the facets that they were found in; facets must not have changed since.
+    pub fn add_sites(&mut self, found: &[(u32, Site)]) {
+        let mut touched = Vec::new();
+        for &(facet, site) in found {
+            let index = self.sites.len() as u32;
+            self.sites.push(site);
+            self.facets[facet as usize].sites.push(index);
+            if touched.last() != Some(&facet) {
+                touched.push(facet);
+            }
+        }
+        touched.sort_unstable();
+        touched.dedup();
+        touched.into_iter().for_each(|f| self.rescan(f));
+    }
+
+    /// Adds sites wherever they lie; those outside the region are forgotten. Returns how many stayed.
+    pub fn scatter(&mut self, sites: &[Site]) -> usize {
+        let first = self.sites.len() as u32;
+        self.sites.extend_from_slice(sites);
+        self.place((first..self.sites.len() as u32).collect())
+    }
+
+    fn place(&mut self, pool: Vec<u32>) -> usize {
+        let mut last = NONE;
+        let mut touched = Vec::new();
+        let mut placed = 0;
+        for s in pool {
+            let Site { x, y, .. } = self.sites[s as usize];
+            if last == NONE || !self.contains(last, x, y) {
+                let hint = if last == NONE { 0 } else { self.facets[last as usize].corners[0] };
+                last = self.face_at(x, y, hint).unwrap_or(NONE);
+            }
+            if last != NONE {
+                placed += 1;
+                self.facets[last as usize].sites.push(s);
+                if touched.last() != Some(&last) {
+                    touched.push(last);
+                }
+            }
+        }
+        touched.sort_unstable();
+        touched.dedup();
+        touched.into_iter().for_each(|f| self.rescan(f));
+        placed
+    }
+
+    fn contains(&self, facet: u32, x: f64, y: f64) -> bool {
+        let [a, b, c] = self.facets[facet as usize].corners.map(|v| self.position(v));
+        let left = |p: [f64; 3], q: [f64; 3]| (q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) >= 0.0;
+        left(a, b) && left(b, c) && left(c, a)
+    }
+
+    /// The facet of the region at a point, found by walking from the vertex `hint`.
+    fn face_at(&self, x: f64, y: f64, hint: u32) -> Option<u32> {
+        let inside = |f: usize| f > 0 && self.facets.get(f).is_some_and(|f| f.inside);
+        let of_edge = |edge: FixedDirectedEdgeHandle| {
+            let edge = self.cdt.directed_edge(edge);
+            [edge.face().index(), edge.rev().face().index()].into_iter().find(|&f| inside(f))
+        };
+        let found = match self.cdt.locate_with_hint(Point2::new(x, y), handle(hint)) {
+            PositionInTriangulation::OnFace(face) => Some(face.index()).filter(|&f| inside(f)),
+            PositionInTriangulation::OnEdge(edge) => of_edge(edge),
+            PositionInTriangulation::OutsideOfConvexHull(edge) => of_edge(edge).filter(|_| {
+                let [a, b] = self.cdt.directed_edge(edge).positions();
+                let (ex, ey) = (b.x - a.x, b.y - a.y);
+                (ex * (y - a.y) - ey * (x - a.x)).abs() <= 2.0 * self.unit * ex.hypot(ey)
+            }),
+            PositionInTriangulation::OnVertex(v) => {
+                self.cdt.vertex(v).out_edges().map(|e| e.face().index()).find(|&f| inside(f))
+            }
+            PositionInTriangulation::NoTriangulation => None,
+        };
+        found.map(|f| f as u32)
+    }
+
+    /// Splits border edges at the given points and heights, then finds out again what is inside. Returns
+    /// how many edges were split.
+    pub fn split_borders(&mut self, splits: &[(BorderSplit, f64)]) -> usize {
+        let mut done = 0;
+        for &(BorderSplit { edge, at }, z) in splits {
+            let (a, b) = (handle(edge.0), handle(edge.1));
+            let Some(border) = self.cdt.get_edge_from_neighbors(a, b) else { continue };
+            let (pa, pb) = (border.from().position(), border.to().position());
+            let p = Point2::new(at[0], at[1]);
+            let apart = |q: Point2<f64>| (q.x - p.x).hypot(q.y - p.y);
+            let occupied = matches!(self.cdt.locate_with_hint(p, a), PositionInTriangulation::OnVertex(_));
+            if !border.is_constraint_edge()
+                || occupied
+                || apart(pa) < self.near
+                || apart(pb) < self.near
+                || self.cdt.intersects_constraint(pa, p)
+                || self.cdt.intersects_constraint(p, pb)
+            {
+                continue;
+            }
+            let border = border.as_undirected().fix();
+            let Some(amount) = self.winding.remove(&edge) else { continue };
+            self.cdt.remove_constraint_edge(border);
+            let Ok(v) = self.cdt.insert_with_hint(Knot { x: at[0], y: at[1] }, a) else { continue };
+            self.push_height(z);
+            let v = v.index() as u32;
+            for (from, to) in [(edge.0, v), (v, edge.1)] {
+                self.cdt.try_add_constraint(handle(from), handle(to));
+                self.add_winding(from, to, amount);
+            }
+            done += 1;
+        }
+        self.rebuild();
+        done
+    }
+
+    /// Compares all facets with the faces, finds out which are inside the region by counting border edges
+    /// from the outside, and places the sites of changed facets and the parked ones again.
+    fn rebuild(&mut self) {
+        let faces = self.cdt.num_all_faces();
+        let mut depth: Vec<Option<i32>> = vec![None; faces];
+        depth[0] = Some(0);
+        let mut queue: Vec<FixedFaceHandle<InnerTag>> = Vec::new();
+        for edge in self.cdt.convex_hull() {
+            let (outer, edge) = if edge.is_outer_edge() { (edge, edge.rev()) } else { (edge.rev(), edge) };
+            debug_assert!(outer.is_outer_edge());
+            if let Some(face) = edge.face().as_inner()
+                && depth[face.index()].is_none()
+            {
+                depth[face.index()] = Some(self.crossing(edge));
+                queue.push(face.fix());
+            }
+        }
+        while let Some(face) = queue.pop() {
+            let here = depth[face.index()].unwrap_or(0);
+            for edge in self.cdt.face(face).adjacent_edges() {
+                if let Some(other) = edge.rev().face().as_inner()
+                    && depth[other.index()].is_none()
+                {
+                    depth[other.index()] = Some(here - self.crossing(edge));
+                    queue.push(other.fix());
+                }
+            }
+        }
+        let mut pool = std::mem::take(&mut self.parked);
+        if self.facets.len() < faces {
+            self.facets.resize_with(faces, Facet::default);
+        }
+        for face in self.cdt.inner_faces() {
+            let corners = face.vertices().map(|v| v.index() as u32);
+            let inside = depth[face.index()].unwrap_or(0) > 0;
+            let facet = &mut self.facets[face.index()];
+            if sorted(facet.corners) != sorted(corners) || facet.inside != inside {
+                pool.append(&mut facet.sites);
+                *facet = Facet { corners, inside, worst: NONE, ..Facet::default() };
+            }
+        }
+        pool.sort_unstable();
+        self.place(pool);
+    }
+
+    /// By how much the depth grows when one steps over the edge to its left.
+    fn crossing(&self, edge: DirectedEdgeHandle<Knot, (), CdtEdge<()>, ()>) -> i32 {
+        if !edge.is_constraint_edge() {
+            return 0;
+        }
+        let (from, to) = (edge.from().index() as u32, edge.to().index() as u32);
+        let amount = self.winding.get(&(from.min(to), from.max(to))).copied().unwrap_or(0);
+        if from < to { amount } else { -amount }
+    }
+
+    /// The largest error at any site and on the fine lattice, and at how many points it was measured.
+    pub fn error(&self) -> (f64, u64) {
+        let (mut error, mut count) = (self.rounding, self.z.len() as u64);
+        for facet in self.facets.iter().filter(|f| f.inside) {
+            error = error.max(facet.worst_error).max(facet.fine_error);
+            count += facet.sites.len() as u64 + facet.fine_points;
+        }
+        let mut hint = 0;
+        for &s in &self.parked {
+            let Site { x, y, z, .. } = self.sites[s as usize];
+            if let Some(f) = self.face_at(x, y, hint) {
+                let corners = self.facets[f as usize].corners;
+                hint = corners[0];
+                error = error.max((self.plane(corners).at(x, y) - z).abs());
+                count += 1;
+            }
+        }
+        (error, count)
+    }
+}
+
+fn sorted(mut corners: [u32; 3]) -> [u32; 3] {
+    corners.sort_unstable();
+    corners
+}
+
+pub(super) fn handle(v: u32) -> FixedVertexHandle {
+    FixedVertexHandle::from_index(v as usize)
+}
+
+/// The spoke that a direction lies on or left of, the next spoke being right of it.
+fn wedge(spokes: &[[f64; 2]], x: f64, y: f64) -> usize {
+    let side = |s: &[f64; 2]| s[0] * y - s[1] * x;
+    let mut best = (f64::NEG_INFINITY, 0);
+    let mut here = side(&spokes[0]);
+    for i in 0..spokes.len() {
+        let next = side(&spokes[(i + 1) % spokes.len()]);
+        if here >= 0.0 && next < 0.0 {
+            return i;
+        }
+        // A rounding error may leave a point in no wedge: take the one that it misses least.
+        let miss = here.min(-next);
+        if miss > best.0 {
+            best = (miss, i);
+        }
+        here = next;
+    }
+    best.1
+}

@@ -1,0 +1,214 @@
+//! Changing the tree: deletions one by one, insertions as one sorted batch, and writing what changed.
+
+use super::node::{ChildRef, Node, Record, child_cell, root_cell};
+use super::{CAPACITY, DEPTH_MAX};
+use crate::base::Result;
+use crate::base::lattice::{Bounds, Quad};
+use crate::store::segment::{PageRef, Pages, SegmentWriter};
+use std::cmp::Ordering;
+use std::collections::HashMap;
+
+/// Tells where the domain of a record lies.
+pub trait Domains: Sync {
+    fn domain(&self, record: &Record) -> Quad;
+}
+
+/// A node that may change: children are on disk until touched.
+#[derive(Default)]
+struct Open {
+    records: Vec<Record>,
+    children: [Child; 4],
+}
+
+#[derive(Default)]
+enum Child {
+    #[default]
+    None,
+    Stored(ChildRef),
+    Open(Box<Open>),
+}
+
+/// A tree being changed.
+pub struct Editor<'a> {
+    pages: &'a dyn Pages,
+    domains: &'a dyn Domains,
+    root: Open,
+    /// Pages whose nodes were replaced: their bytes are dead in the new version.
+    pub replaced: Vec<PageRef>,
+}
+
+impl<'a> Editor<'a> {
+    /// Opens the tree at `root` (`None`: an empty one). `domains` must know every record, old and new.
+    pub fn open(pages: &'a dyn Pages, domains: &'a dyn Domains, root: Option<PageRef>) -> Result<Editor<'a>> {
+        let mut replaced = Vec::new();
+        let root = match root {
+            None => Open::default(),
+            Some(at) => {
+                replaced.push(at);
+                Open::from(Node::read(pages, &at)?)
+            }
+        };
+        Ok(Editor { pages, domains, root, replaced })
+    }
+
+    /// Takes `gone` out and puts `come` in. The result depends on the resulting set only.
+    pub fn apply(&mut self, gone: &[Record], mut come: Vec<Record>, live_before: u64) -> Result<()> {
+        if gone.len() as u64 * 3 > live_before {
+            // So much goes that collecting the rest and starting afresh is cheaper than pulling records up.
+            let mut rest = HashMap::new();
+            let root = std::mem::take(&mut self.root);
+            self.collect(root, &mut rest)?;
+            for g in gone {
+                rest.remove(&(g.survey, g.place));
+            }
+            come.extend(rest.into_values());
+        } else {
+            let mut root = std::mem::take(&mut self.root);
+            for g in gone {
+                let quad = self.domains.domain(g);
+                self.delete(&mut root, &root_cell(), g, &quad)?;
+            }
+            self.root = root;
+        }
+        come.sort_unstable_by(|a, b| a.order(b));
+        let come: Vec<(Record, Quad)> = come.into_iter().map(|r| (r, self.domains.domain(&r))).collect();
+        let mut root = std::mem::take(&mut self.root);
+        self.insert(&mut root, &root_cell(), 0, come)?;
+        self.root = root;
+        Ok(())
+    }
+
+    fn collect(
+        &mut self,
+        node: Open,
+        out: &mut HashMap<(crate::height::lod::SurveyNumber, crate::height::lod::Place), Record>,
+    ) -> Result<()> {
+        for r in node.records {
+            out.insert((r.survey, r.place), r);
+        }
+        for mut c in node.children {
+            if self.touch(&mut c)?.is_some()
+                && let Child::Open(n) = c
+            {
+                self.collect(*n, out)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Loads a child so that it can change.
+    fn touch<'c>(&mut self, child: &'c mut Child) -> Result<Option<&'c mut Open>> {
+        if let Child::Stored(c) = child {
+            let node = Node::read(self.pages, &c.page)?;
+            self.replaced.push(c.page);
+            *child = Child::Open(Box::new(Open::from(node)));
+        }
+        Ok(match child {
+            Child::Open(n) => Some(n),
+            _ => None,
+        })
+    }
+
+    fn insert(&mut self, node: &mut Open, cell: &Bounds, depth: u8, come: Vec<(Record, Quad)>) -> Result<()> {
+        if come.is_empty() {
+            return Ok(());
+        }
+        let mut merged: Vec<(Record, Option<Quad>)> = Vec::with_capacity(node.records.len() + come.len());
+        let mut new = come.into_iter().peekable();
+        for old in node.records.drain(..) {
+            while new.peek().is_some_and(|(n, _)| n.order(&old) == Ordering::Less) {
+                merged.extend(new.next().map(|(r, q)| (r, Some(q))));
+            }
+            merged.push((old, None));
+        }
+        merged.extend(new.map(|(r, q)| (r, Some(q))));
+        let rest = if depth < DEPTH_MAX && merged.len() > CAPACITY { merged.split_off(CAPACITY) } else { Vec::new() };
+        node.records = merged.into_iter().map(|(r, _)| r).collect();
+        if rest.is_empty() {
+            return Ok(());
+        }
+        let rest: Vec<(Record, Quad)> =
+            rest.into_iter().map(|(r, q)| (r, q.unwrap_or_else(|| self.domains.domain(&r)))).collect();
+        for k in 0..4 {
+            let c = child_cell(cell, k);
+            let down: Vec<(Record, Quad)> = rest.iter().filter(|(_, q)| q.meets_cell(&c)).copied().collect();
+            if down.is_empty() {
+                continue;
+            }
+            if matches!(node.children[k], Child::None) {
+                node.children[k] = Child::Open(Box::default());
+            }
+            let mut child = std::mem::take(&mut node.children[k]);
+            if let Some(n) = self.touch(&mut child)? {
+                self.insert(n, &c, depth + 1, down)?;
+            }
+            node.children[k] = child;
+        }
+        Ok(())
+    }
+
+    fn delete(&mut self, node: &mut Open, cell: &Bounds, record: &Record, quad: &Quad) -> Result<()> {
+        if let Ok(at) = node.records.binary_search_by(|r| r.order(record)) {
+            node.records.remove(at);
+            // The smallest head over the children heads the list of every child that it meets.
+            let mut head: Option<Record> = None;
+            for k in 0..4 {
+                if let Some(n) = self.touch(&mut node.children[k])?
+                    && let Some(first) = n.records.first()
+                    && head.is_none_or(|h| first.order(&h) == Ordering::Less)
+                {
+                    head = Some(*first);
+                }
+            }
+            if let Some(head) = head {
+                let q = self.domains.domain(&head);
+                self.delete_below(node, cell, &head, &q)?;
+                node.records.push(head);
+            }
+            return Ok(());
+        }
+        self.delete_below(node, cell, record, quad)
+    }
+
+    fn delete_below(&mut self, node: &mut Open, cell: &Bounds, record: &Record, quad: &Quad) -> Result<()> {
+        for k in 0..4 {
+            let c = child_cell(cell, k);
+            if matches!(node.children[k], Child::None) || !quad.meets_cell(&c) {
+                continue;
+            }
+            let mut child = std::mem::take(&mut node.children[k]);
+            if let Some(n) = self.touch(&mut child)? {
+                self.delete(n, &c, record, quad)?;
+                if n.records.is_empty() {
+                    child = Child::None;
+                }
+            }
+            node.children[k] = child;
+        }
+        Ok(())
+    }
+
+    /// Writes the changed nodes, children before parents, and returns the root.
+    pub fn write(self, out: &mut SegmentWriter) -> Result<(ChildRef, Vec<PageRef>)> {
+        Ok((write(self.root, out)?, self.replaced))
+    }
+}
+
+fn write(open: Open, out: &mut SegmentWriter) -> Result<ChildRef> {
+    let mut node = Node { records: open.records, children: [None; 4] };
+    for (k, c) in open.children.into_iter().enumerate() {
+        node.children[k] = match c {
+            Child::None => None,
+            Child::Stored(r) => Some(r),
+            Child::Open(n) => Some(write(*n, out)?),
+        };
+    }
+    let (top_max, bot_min, floor) = node.aggregates();
+    Ok(ChildRef { page: out.append(&node.encode())?, top_max, bot_min, floor })
+}
+
+impl From<Node> for Open {
+    fn from(n: Node) -> Open {
+        Open { records: n.records, children: n.children.map(|c| c.map_or(Child::None, Child::Stored)) }
+    }
+}

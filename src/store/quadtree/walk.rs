@@ -1,0 +1,53 @@
+//! Walking the tree: records whose box may meet a cut.
+
+use super::node::{Node, Record, child_cell, root_cell};
+use crate::base::Result;
+use crate::base::lattice::Bounds;
+use crate::store::segment::{PageRef, Pages};
+
+/// Visits every record that passes the pruning of section 4: in a cell where the tolerance lies in
+/// `[lo, hi]`, records with `top > lo`; children with `top_max > lo` and (`bot_min <= hi` or a floor).
+/// `range(cell)` gives `(lo, hi)` of the tolerance over the cell, or `None` if the region misses it.
+/// A record that is stored in several nodes is visited several times. Returns the number of nodes read.
+pub fn walk(
+    pages: &dyn Pages,
+    root: &PageRef,
+    range: &mut dyn FnMut(&Bounds) -> Option<(f64, f64)>,
+    visit: &mut dyn FnMut(&Record) -> Result<()>,
+) -> Result<u64> {
+    let cell = root_cell();
+    let mut nodes = 0;
+    if let Some((lo, _)) = range(&cell) {
+        descend(pages, root, &cell, lo, range, visit, &mut nodes)?;
+    }
+    Ok(nodes)
+}
+
+fn descend(
+    pages: &dyn Pages,
+    at: &PageRef,
+    cell: &Bounds,
+    lo: f64,
+    range: &mut dyn FnMut(&Bounds) -> Option<(f64, f64)>,
+    visit: &mut dyn FnMut(&Record) -> Result<()>,
+    nodes: &mut u64,
+) -> Result<()> {
+    *nodes += 1;
+    let node = Node::read(pages, at)?;
+    for r in &node.records {
+        if f64::from(r.top) <= lo {
+            return Ok(());
+        }
+        visit(r)?;
+    }
+    // Everything below is no higher than the last record here (invariant Q5), so it is worth descending.
+    for (k, child) in node.children.iter().enumerate() {
+        let Some(c) = child else { continue };
+        let cell = child_cell(cell, k);
+        let Some((lo, hi)) = range(&cell) else { continue };
+        if f64::from(c.top_max) > lo && (f64::from(c.bot_min) <= hi || c.floor) {
+            descend(pages, &c.page, &cell, lo, range, visit, nodes)?;
+        }
+    }
+    Ok(())
+}

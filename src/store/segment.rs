@@ -1,0 +1,257 @@
+//! Segments: files of pages, written once.
+//!
+//! A page is found by a [`PageRef`] that carries its checksum, so a page that was damaged *or landed in the
+//! wrong place* is an error on first touch. Bytes are drawn in `docs/format.md`.
+
+use super::disk::{Disk, Finished, Growing};
+use crate::base::bytes::{Put, Reader};
+use crate::base::{Error, Result, limits};
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, OnceLock};
+
+/// First bytes of every segment file.
+pub const MAGIC: [u8; 8] = *b"TQUILTSG";
+/// Version of the bytes of a segment.
+pub const SEGMENT_VERSION: u32 = 1;
+/// Bytes before the first page.
+pub const HEADER_BYTES: u64 = 32;
+
+/// Where a page is, and what its bytes must hash to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct PageRef {
+    /// Number of the segment file.
+    pub file: u32,
+    /// Bytes of the page.
+    pub len: u32,
+    /// Byte offset in the file.
+    pub offset: u64,
+    /// CRC-32C of the bytes.
+    pub crc: u32,
+}
+
+impl PageRef {
+    pub const BYTES: usize = 20;
+
+    pub fn put(&self, out: &mut Vec<u8>) {
+        out.put_u32(self.file);
+        out.put_u32(self.len);
+        out.put_u64(self.offset);
+        out.put_u32(self.crc);
+    }
+
+    pub fn read(r: &mut Reader) -> Result<PageRef> {
+        Ok(PageRef { file: r.u32()?, len: r.u32()?, offset: r.u64()?, crc: r.u32()? })
+    }
+
+    /// How the page is named in errors.
+    pub fn place(&self) -> String {
+        format!("page at byte {} ({} bytes)", self.offset, self.len)
+    }
+}
+
+/// What a segment file is a function of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum SegmentKind {
+    /// One survey: samples, levels, patch table.
+    Survey = 1,
+    /// The set of surveys: tops, kernels, tree, root.
+    Derived = 2,
+}
+
+/// The final name of a segment file.
+pub fn file_name(number: u32) -> String {
+    format!("{number:08}.tqs")
+}
+
+/// The name of a segment file while it is being written.
+pub fn temporary_name(number: u32) -> String {
+    format!("{number:08}.tmp")
+}
+
+fn header(kind: SegmentKind, number: u32) -> Vec<u8> {
+    let mut h = Vec::with_capacity(HEADER_BYTES as usize);
+    h.put(&MAGIC);
+    h.put_u32(SEGMENT_VERSION);
+    h.put_u8(kind as u8);
+    h.put(&[0; 3]);
+    h.put_u32(number);
+    h.put(&[0; 8]);
+    let crc = crc32c::crc32c(&h);
+    h.put_u32(crc);
+    h
+}
+
+fn check_header(name: &str, bytes: &[u8], number: u32) -> Result<()> {
+    let mut r = Reader::new(bytes, name, "segment header");
+    let body = r.take(28)?;
+    let crc = r.u32()?;
+    if body[..8] != MAGIC {
+        return Err(r.bad("magic bytes are not TQUILTSG"));
+    }
+    let mut f = Reader::new(&body[8..], name, "segment header");
+    let version = f.u32()?;
+    if version > SEGMENT_VERSION {
+        return Err(Error::unsupported(
+            name,
+            format!("segment format {version}, this program reads up to {SEGMENT_VERSION}"),
+            "use a newer terraquilt",
+        ));
+    }
+    if crc32c::crc32c(body) != crc {
+        return Err(r.bad(format!("checksum {:#010x}, stored {crc:#010x}", crc32c::crc32c(body))));
+    }
+    f.take(4)?;
+    let found = f.u32()?;
+    if found != number {
+        return Err(r.bad(format!("file says it is number {found}, the catalog says {number}")));
+    }
+    Ok(())
+}
+
+/// Reads pages by reference.
+pub trait Pages: Sync {
+    /// The bytes of a page, their checksum verified.
+    fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>>;
+}
+
+/// Writes one segment under a temporary name; [`SegmentWriter::finish`] makes it durable under its own.
+pub struct SegmentWriter {
+    file: Mutex<Box<dyn Growing>>,
+    number: u32,
+    offset: u64,
+}
+
+impl SegmentWriter {
+    pub fn create(disk: &dyn Disk, number: u32, kind: SegmentKind) -> Result<SegmentWriter> {
+        let mut file = disk.create(&temporary_name(number))?;
+        file.append(&header(kind, number))?;
+        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
+    }
+
+    pub fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// Bytes written so far.
+    pub fn len(&self) -> u64 {
+        self.offset
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.offset == HEADER_BYTES
+    }
+
+    /// Appends a page.
+    pub fn append(&mut self, page: &[u8]) -> Result<PageRef> {
+        if page.len() as u64 > limits::PAGE_BYTES_MAX {
+            return Err(Error::limit("bytes of a page", limits::PAGE_BYTES_MAX, page.len() as u64));
+        }
+        let at = PageRef {
+            file: self.number,
+            len: page.len() as u32,
+            offset: self.offset,
+            crc: crc32c::crc32c(page),
+        };
+        self.file.get_mut().expect("no thread panicked while holding the file").append(page)?;
+        self.offset += page.len() as u64;
+        Ok(at)
+    }
+
+    /// Syncs the bytes, renames the file and syncs the names. Returns the file's length.
+    pub fn finish(mut self, disk: &dyn Disk) -> Result<u64> {
+        self.file.get_mut().expect("no thread panicked while holding the file").sync()?;
+        disk.rename(&temporary_name(self.number), &file_name(self.number))?;
+        disk.sync_names()?;
+        Ok(self.offset)
+    }
+}
+
+impl Pages for SegmentWriter {
+    fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>> {
+        let mut buffer = vec![0; at.len as usize];
+        self.file.lock().expect("no thread panicked while holding the file").read_at(at.offset, &mut buffer)?;
+        verify(&file_name(at.file), at, &buffer)?;
+        Ok(Cow::Owned(buffer))
+    }
+}
+
+fn verify(name: &str, at: &PageRef, bytes: &[u8]) -> Result<()> {
+    let crc = crc32c::crc32c(bytes);
+    if crc != at.crc {
+        return Err(Error::corrupt(
+            name,
+            at.place(),
+            format!("checksum {crc:#010x}, stored {:#010x}; restore the file from a backup", at.crc),
+        ));
+    }
+    Ok(())
+}
+
+/// The finished files of one version, each opened (and its length checked) on first touch.
+pub struct Files {
+    disk: Arc<dyn Disk>,
+    /// Number, length as the catalog says, and the bytes once opened.
+    files: HashMap<u32, (u64, OnceLock<Finished>)>,
+}
+
+impl Files {
+    pub fn new(disk: Arc<dyn Disk>, lengths: impl IntoIterator<Item = (u32, u64)>) -> Files {
+        Files { disk, files: lengths.into_iter().map(|(n, l)| (n, (l, OnceLock::new()))).collect() }
+    }
+
+    /// Numbers and lengths, ascending.
+    pub fn lengths(&self) -> Vec<(u32, u64)> {
+        let mut n: Vec<(u32, u64)> = self.files.iter().map(|(n, (l, _))| (*n, *l)).collect();
+        n.sort_unstable();
+        n
+    }
+
+    /// Opens a file, or names why it cannot be.
+    pub fn bytes(&self, number: u32) -> Result<&[u8]> {
+        let name = file_name(number);
+        let Some((len, slot)) = self.files.get(&number) else {
+            return Err(Error::corrupt(&name, "reference", "a page is named in a file that this version does not hold"));
+        };
+        if let Some(open) = slot.get() {
+            return Ok((**open).as_ref());
+        }
+        let open = self.disk.open(&name, *len)?;
+        check_header(&name, (*open).as_ref(), number)?;
+        // Two threads may have opened it at once: either mapping serves.
+        Ok((**slot.get_or_init(|| open)).as_ref())
+    }
+}
+
+impl Pages for Files {
+    fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>> {
+        let bytes = self.bytes(at.file)?;
+        let end = at.offset.checked_add(u64::from(at.len)).filter(|e| *e <= bytes.len() as u64);
+        let Some(end) = end else {
+            return Err(Error::corrupt(
+                file_name(at.file),
+                at.place(),
+                format!("reaches past the end of the file ({} bytes)", bytes.len()),
+            ));
+        };
+        let page = &bytes[at.offset as usize..end as usize];
+        verify(&file_name(at.file), at, page)?;
+        Ok(Cow::Borrowed(page))
+    }
+}
+
+/// Pages of a version and of the segments being written on top of it.
+pub struct Layered<'a> {
+    pub base: &'a Files,
+    pub writing: Vec<&'a SegmentWriter>,
+}
+
+impl Pages for Layered<'_> {
+    fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>> {
+        match self.writing.iter().find(|w| w.number == at.file) {
+            Some(w) => w.page(at),
+            None => self.base.page(at),
+        }
+    }
+}
