@@ -1,1 +1,7 @@
-fn main(){}
+//! The `terraquilt` program.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    terraquilt::cli::run(std::env::args_os())
+}

@@ -486,3 +486,78 @@ fn a_synthetic_srtm_tile_reads_by_windows() {
     }
     check_windows(source.as_mut(), &all, &mut Random(9));
 }
+
+/// Where a written (classic, little-endian) file keeps the value of a tag, and how many bytes it has there.
+fn value_of(bytes: &[u8], tag: u16) -> usize {
+    let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+    let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let directory = u32_at(4) as usize;
+    let entries = (0..usize::from(u16_at(directory))).map(|i| directory + 2 + 12 * i);
+    let entry = entries.into_iter().find(|at| u16_at(*at) == tag).unwrap();
+    let width = if u16_at(entry + 2) == 3 { 2 } else { 4 };
+    let inline = u32_at(entry + 4) * width <= 4;
+    if inline { entry + 8 } else { u32_at(entry + 8) as usize }
+}
+
+#[test]
+fn headers_that_lie_are_refused_before_anything_is_allocated() {
+    let good = write(&spec(300, 40, SampleType::I16), &vec![1; 300 * 40 * 2], 40);
+    // Tag, value, word of the error.
+    let lies: [(u16, u32, &str); 12] = [
+        (256, 4_000_000_000, "columns"),
+        (257, 0, "image size"),
+        (257, 1_999_999, "tiles"),
+        (258, 12, "12 bits"),
+        (259, 7, "JPEG"),
+        (262, 3, "palette"),
+        (317, 3, "predictor"),
+        (322, 0, "tile size"),
+        (322, 2_000_000_000, "bytes of one tile"),
+        (323, 200_000, "tile size"),
+        (324, 4_000_000_000, "tile 0"),
+        (325, 4_000_000_000, "tile 0"),
+    ];
+    for (tag, value, word) in lies {
+        let mut bytes = good.clone();
+        let at = value_of(&bytes, tag);
+        bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        let error =
+            open_bytes("lie.tif", bytes).err().unwrap_or_else(|| panic!("tag {tag} = {value} was believed"));
+        assert!(error.to_string().contains(word), "tag {tag} = {value}: {error}");
+    }
+}
+
+#[test]
+fn tiles_that_are_not_stored_are_nodata_or_else_zero() {
+    for nodata in [Some("-5"), None, Some("0.5")] {
+        let nodata = nodata.map(String::from);
+        let spec = GeoTiffSpec { nodata: nodata.clone(), ..spec(300, 40, SampleType::I16) };
+        let data: Vec<u8> = (0..300 * 40).flat_map(|_| 77i16.to_le_bytes()).collect();
+        let mut bytes = write(&spec, &data, 40);
+        let second = value_of(&bytes, 324) + 4;
+        bytes[second..second + 4].fill(0);
+        let mut source = open_bytes("sparse.tif", bytes).unwrap();
+        let all = read_all(source.as_mut()).unwrap();
+        let fill = if nodata.as_deref() == Some("-5") { (-5.0, 0) } else { (0.0, 1) };
+        for i in 0..300 * 40 {
+            let found = (SampleType::I16.value(&all.data[i * 2..]), all.valid[i]);
+            assert_eq!(found, if i % 300 < 256 { (77.0, 1) } else { fill }, "post {i}, nodata {nodata:?}");
+        }
+        check_windows(source.as_mut(), &all, &mut Random(1));
+    }
+}
+
+#[test]
+fn a_block_that_does_not_decode_is_named() {
+    let data = samples(SampleType::I16, 300 * 300, &mut Random(2));
+    let mut bytes = write(&spec(300, 300, SampleType::I16), &data, 300);
+    let table = value_of(&bytes, 324) + 3 * 4;
+    let at = u32::from_le_bytes(bytes[table..table + 4].try_into().unwrap()) as usize;
+    bytes[at + 20..at + 40].fill(0xff);
+    let mut source = open_bytes("damaged.tif", bytes).unwrap();
+    assert!(source.read(Window { col: 0, row: 0, cols: 300, rows: 256 }).is_ok(), "the others are sound");
+    let error = source.read(Window { col: 0, row: 0, cols: 300, rows: 300 }).unwrap_err();
+    let text = error.to_string();
+    assert!(matches!(error, Error::Corrupt { .. }) && text.contains("damaged.tif"), "{text}");
+    assert!(text.contains("tile 3 (columns 256 to 299, rows 256 to 299)"), "{text}");
+}

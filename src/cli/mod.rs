@@ -1,1 +1,91 @@
-//! stub
+//! The command line: one file per group of subcommands, one contract for people and scripts.
+//!
+//! Results go to stdout (one JSON document, or one object a line, with `--json`); messages and progress to stderr.
+//! Exit 0: done; 1: could not be done, one line says why; 2: wrong usage.
+
+mod args;
+mod ask;
+mod care;
+mod demo;
+mod export;
+mod ingest;
+mod output;
+mod shading;
+
+use crate::base::{Error, Result};
+use clap::{Parser, Subcommand};
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+/// A living terrain database: overlapping elevation surveys in, one seamless surface with a certified error out.
+#[derive(Parser)]
+#[command(name = "terraquilt", version, max_term_width = 100)]
+#[command(after_help = "Example:\n  terraquilt init hills --crs EPSG:32610\n  terraquilt ingest hills lidar.tif --accuracy 0.3\n  terraquilt export hills hills.png --error 2\n  terraquilt demo        # the whole story on real surveys")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(demo::Demo),
+    Init(ingest::Init),
+    Ingest(ingest::IngestFiles),
+    Replace(ingest::Replace),
+    Set(ingest::Set),
+    Remove(ingest::Remove),
+    Surveys(ask::Surveys),
+    Tiles(ask::Tiles),
+    Versions(ask::Versions),
+    Patches(ask::Patches),
+    Heights(ask::Heights),
+    Boxes(ask::Boxes),
+    Export(export::Export),
+    Info(care::InfoCommand),
+    Fingerprint(care::Fingerprint),
+    Verify(care::Verify),
+    Prune(care::Prune),
+}
+
+/// Runs the program. Never panics on input; a closed pipe is no crash.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(c) => c,
+        Err(e) => {
+            let _ = e.print();
+            return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+        }
+    };
+    let done = match cli.command {
+        Command::Demo(c) => c.run(),
+        Command::Init(c) => c.run(),
+        Command::Ingest(c) => c.run(),
+        Command::Replace(c) => c.run(),
+        Command::Set(c) => c.run(),
+        Command::Remove(c) => c.run(),
+        Command::Surveys(c) => c.run(),
+        Command::Tiles(c) => c.run(),
+        Command::Versions(c) => c.run(),
+        Command::Patches(c) => c.run(),
+        Command::Heights(c) => c.run(),
+        Command::Boxes(c) => c.run(),
+        Command::Export(c) => c.run(),
+        Command::Info(c) => c.run(),
+        Command::Fingerprint(c) => c.run(),
+        Command::Verify(c) => c.run(),
+        Command::Prune(c) => c.run(),
+    };
+    finish(done)
+}
+
+fn finish(done: Result<bool>) -> ExitCode {
+    match done {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(e) => {
+            output::message(&format!("error: {e}"));
+            ExitCode::from(1)
+        }
+    }
+}

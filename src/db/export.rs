@@ -1,1 +1,60 @@
-//! stub
+//! What went in comes out: the samples of a tile, bit for bit.
+
+use super::database::Snapshot;
+use super::head::{Declaration, Tile};
+use crate::base::Result;
+use crate::height::block::{BLOCK, decode};
+use crate::height::lod::SurveyNumber;
+use crate::store::segment::{Pages, file_name};
+
+/// A delivered tile: read row band by row band.
+pub struct RawTile<'a> {
+    snapshot: &'a Snapshot,
+    pub declaration: Declaration,
+    pub tile: Tile,
+}
+
+/// Opens a tile of a survey for reading back.
+pub fn read_tile(snapshot: &Snapshot, survey: SurveyNumber, index: usize) -> Result<RawTile<'_>> {
+    let head = snapshot.head(survey)?;
+    Ok(RawTile { snapshot, declaration: head.declaration.clone(), tile: head.tiles[index].clone() })
+}
+
+impl RawTile<'_> {
+    pub fn cols(&self) -> usize {
+        self.tile.posts.width() as usize
+    }
+    pub fn rows(&self) -> usize {
+        self.tile.posts.height() as usize
+    }
+
+    /// Calls `f(first row, rows, samples, valid)` for every band of rows, top to bottom: little-endian samples and one
+    /// byte a post, as they were delivered.
+    pub fn bands(&self, mut f: impl FnMut(usize, usize, &[u8], &[u8]) -> Result<()>) -> Result<()> {
+        let posts = self.tile.posts;
+        let w = self.declaration.sample_type.bytes();
+        let view = &self.snapshot.view;
+        let directory = view.directory(&self.tile.directory)?;
+        let cols = self.cols();
+        for bj in directory.blocks.j0..directory.blocks.j1 {
+            let j0 = (bj * BLOCK).max(posts.j0);
+            let rows = (((bj + 1) * BLOCK).min(posts.j1) - j0) as usize;
+            let mut samples = vec![0u8; rows * cols * w];
+            let mut valid = vec![1u8; rows * cols];
+            for bi in directory.blocks.i0..directory.blocks.i1 {
+                let Some((at, _)) = directory.get(bi, bj) else { continue };
+                let raw = decode(&view.files.page(&at)?, &file_name(at.file))?;
+                let c0 = (bi * BLOCK + raw.col as i64 - posts.i0) as usize;
+                for r in 0..raw.rows.min(rows) {
+                    let (to, from) = (r * cols + c0, r * raw.cols);
+                    samples[to * w..(to + raw.cols) * w].copy_from_slice(&raw.samples[from * w..(from + raw.cols) * w]);
+                    if let Some(v) = &raw.valid {
+                        valid[to..to + raw.cols].copy_from_slice(&v[from..from + raw.cols]);
+                    }
+                }
+            }
+            f((j0 - posts.j0) as usize, rows, &samples, &valid)?;
+        }
+        Ok(())
+    }
+}

@@ -17,14 +17,16 @@ pub mod query;
 mod reader;
 mod root;
 mod tile;
+mod triangles;
 mod update;
 mod view;
 
 pub use change::{Change, Ingest, Outcome, Progress};
-
+pub use check::{Report, verify};
 pub use database::{Db, Options, Policy, PruneOutcome, Snapshot};
-
-
-pub use head::{Declaration, Tile};
-
+pub use export::{RawTile, read_tile};
+pub use fingerprint::fingerprint;
+pub use head::{Declaration, Head, Tile};
+pub use listing::{BoxRow, Info, SurveyRow, boxes, info, surveys};
 pub use root::SurveyEntry;
+pub use triangles::{RegionMesh, metres_per_unit, triangulate_region};

@@ -1,1 +1,422 @@
-//! stub
+//! Questions: which patches a region needs within a tolerance, what changed since, how high it is.
+
+use super::database::Snapshot;
+use super::view::{Rules, Tables, View};
+use crate::base::lattice::Bounds;
+use crate::base::{Error, Result};
+use crate::height::cells::{Block, Fill};
+use crate::height::crs::AxisUnit;
+use crate::height::lod::cut::{Camera, Constant, Cut, Region};
+use crate::height::lod::{Cells, Place, SurveyNumber, World};
+use crate::height::patch::Vertices;
+use crate::height::surface::{Blend, Evaluation, Hood, KAPPA, Patch, Sheet, Source, Surface, SurveyField};
+use crate::store::quadtree::{Domains, Record, walk};
+use quick_cache::sync::Cache;
+use rayon::prelude::*;
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+
+/// How much error is allowed where.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Tolerance {
+    /// Metres, everywhere.
+    Constant(f64),
+    /// Pixels on a screen.
+    Camera(Camera),
+}
+
+/// What is asked.
+#[derive(Clone, Debug)]
+pub struct Query {
+    /// xmin, ymin, xmax, ymax in CRS units; `None`: everything.
+    pub region: Option<[f64; 4]>,
+    pub tolerance: Tolerance,
+    pub blend: Blend,
+}
+
+/// The patches of an answer, ascending by id.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    pub version: u64,
+    pub records: Vec<Record>,
+    /// Nodes of the tree that were read.
+    pub nodes: u64,
+    /// Records that were looked at, those stored in several nodes counted each time.
+    pub tested: u64,
+    /// The region that was meant: a convex polygon in CRS units.
+    pub region: Region,
+}
+
+/// What changed between two answers to the same question.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Difference {
+    pub added: Vec<Record>,
+    pub removed: Vec<Record>,
+    /// Same patch, other top or floor: as it is now.
+    pub changed: Vec<Record>,
+}
+
+/// The difference that turns the first answer into the second (section 6 of the LOD-space specification).
+pub fn difference(from: &[Record], to: &[Record]) -> Difference {
+    let old: HashMap<_, &Record> = from.iter().map(|r| (r.id, r)).collect();
+    let new: HashSet<_> = to.iter().map(|r| r.id).collect();
+    let mut d = Difference { removed: from.iter().filter(|r| !new.contains(&r.id)).copied().collect(), ..Difference::default() };
+    for r in to {
+        match old.get(&r.id) {
+            None => d.added.push(*r),
+            Some(o) if o.top != r.top || o.floor != r.floor => d.changed.push(*r),
+            Some(_) => {}
+        }
+    }
+    d
+}
+
+/// A hash of the sorted ids of an answer, by which a client knows that it holds the same.
+pub fn set_hash(records: &[Record]) -> String {
+    let mut ids: Vec<_> = records.iter().map(|r| r.id).collect();
+    ids.sort_unstable();
+    let mut h = blake3::Hasher::new();
+    ids.iter().for_each(|id| {
+        h.update(&id.0);
+    });
+    h.finalize().to_hex()[..32].to_string()
+}
+
+impl Snapshot {
+    /// Lowest and highest valid height of all surveys, metres.
+    pub fn z_range(&self) -> Option<[f64; 2]> {
+        let mut entries = self.entries().peekable();
+        entries.peek()?;
+        Some(self.entries().fold([f64::INFINITY, f64::NEG_INFINITY], |z, e| [z[0].min(e.z[0]), z[1].max(e.z[1])]))
+    }
+
+    /// xmin, ymin, xmax, ymax of the cores of all surveys, CRS units.
+    pub fn bounds(&self) -> Option<[f64; 4]> {
+        let size = self.unit.size();
+        let b = self.entries().map(|e| e.geometry.bounds()).reduce(|a, b| a.union(&b))?;
+        Some([b.min.x as f64 * size, b.min.y as f64 * size, b.max.x as f64 * size, b.max.y as f64 * size])
+    }
+
+    fn region(&self, query: &Query) -> Result<Region> {
+        let whole = match query.region {
+            Some(b) => {
+                if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
+                    return Err(Error::invalid("--bbox", format!("{b:?} is empty; give xmin,ymin,xmax,ymax")));
+                }
+                Region::from_box(b)
+            }
+            None => match self.bounds() {
+                // A hair larger, so that the border posts are in.
+                Some(b) => {
+                    let pad = [(b[2] - b[0]) * 1e-9, (b[3] - b[1]) * 1e-9];
+                    Region::from_box([b[0] - pad[0], b[1] - pad[1], b[2] + pad[0], b[3] + pad[1]])
+                }
+                None => Region { polygon: Vec::new() },
+            },
+        };
+        if let (Tolerance::Camera(c), Some(z)) = (&query.tolerance, self.z_range()) {
+            if self.crs.unit == AxisUnit::Degree {
+                return Err(Error::unsupported(
+                    &self.crs.code,
+                    "a camera needs metres, and this database is in degrees",
+                    "ask with --error M, or make a database in a projected CRS",
+                ));
+            }
+            let polygon = whole.clip(&c.footprint(z[0], z[1]).polygon);
+            return Ok(Region { polygon: if polygon.len() < 3 { Vec::new() } else { polygon } });
+        }
+        Ok(whole)
+    }
+
+    /// The patches that the answer needs: for [`Blend::Exact`] the needed set of section 5.4, for
+    /// [`Blend::Plain`] those whose box the tolerance cuts.
+    pub fn select(&self, query: &Query) -> Result<Selection> {
+        if let Tolerance::Constant(c) = query.tolerance
+            && (c.is_nan() || c < 0.0)
+        {
+            return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
+        }
+        self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.blend)
+    }
+
+    fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
+        let z = self.z_range().unwrap_or([0.0; 2]);
+        match tolerance {
+            Tolerance::Constant(c) => Box::new(Constant(*c)),
+            Tolerance::Camera(c) => Box::new(c.over(z[0], z[1])),
+        }
+    }
+
+    fn select_in(&self, region: Region, cut: &dyn Cut, blend: Blend) -> Result<Selection> {
+        let mut out =
+            Selection { version: self.number(), records: Vec::new(), nodes: 0, tested: 0, region: region.clone() };
+        let (Some(tree), false) = (&self.view.tree, region.is_empty()) else { return Ok(out) };
+        let kappa = if blend == Blend::Exact { KAPPA } else { 1.0 };
+        let size = self.unit.size();
+        let rules = Rules(&self.view);
+        let mut seen: HashSet<(SurveyNumber, Place)> = HashSet::new();
+        let mut tested = 0;
+        let mut records = Vec::new();
+        let mut range = |cell: &Bounds| {
+            let b = [cell.min.x as f64 * size, cell.min.y as f64 * size, cell.max.x as f64 * size, cell.max.y as f64 * size];
+            let part = region.clip(&Region::from_box(b).polygon);
+            if part.is_empty() {
+                return None;
+            }
+            let (lo, hi) = cut.bounds(&part);
+            Some((lo / kappa, hi))
+        };
+        let mut visit = |r: &Record| -> Result<()> {
+            tested += 1;
+            if !self.view.entries().contains_key(&r.survey) {
+                return Err(Error::corrupt("tree", format!("survey {}", r.survey.0), "is not in the root page; run `terraquilt verify`"));
+            }
+            if !seen.insert((r.survey, r.place)) {
+                return Ok(());
+            }
+            let quad = rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size]);
+            let part = region.clip(&quad);
+            if part.is_empty() {
+                return Ok(());
+            }
+            let (lo, hi) = cut.bounds(&part);
+            let floor = blend == Blend::Exact && r.floor;
+            if lo < kappa * f64::from(r.top) && (f64::from(r.bot) <= hi || floor) {
+                records.push(*r);
+            }
+            Ok(())
+        };
+        out.nodes = walk(&self.view.files, &tree.page, &mut range, &mut visit)?;
+        records.sort_unstable_by_key(|r| r.id);
+        out.records = records;
+        out.tested = tested;
+        Ok(out)
+    }
+
+    /// The surface of a query, ready for heights. Patches are decoded when a point first needs them.
+    pub fn surface(&self, query: &Query) -> Result<Ground<'_>> {
+        let selection = self.select(query)?;
+        Ok(self.ground(selection, self.cut(&query.tolerance), query.blend))
+    }
+
+    fn ground(&self, selection: Selection, cut: Box<dyn Cut>, blend: Blend) -> Ground<'_> {
+        let b = selection.region.bounds();
+        let origin = if b[0].is_finite() { [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0] } else { [0.0; 2] };
+        // Masks need every survey near the region, whether a patch of it was selected or not.
+        let used: HashSet<SurveyNumber> = selection.records.iter().map(|r| r.survey).collect();
+        let near: HashSet<SurveyNumber> = {
+            let size = self.unit.size();
+            let to = |v: f64| ((v / size).round()).clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
+            let bounds = Bounds {
+                min: crate::base::lattice::Point::new(to(b[0]), to(b[1])),
+                max: crate::base::lattice::Point::new(to(b[2]), to(b[3])),
+            };
+            if b[0].is_finite() { Rules(&self.view).meeting(&bounds).into_iter().collect() } else { HashSet::new() }
+        };
+        let keep: Vec<SurveyNumber> =
+            self.entries().map(|e| e.number).filter(|s| used.contains(s) || near.contains(s)).collect();
+        let slot: HashMap<SurveyNumber, usize> = keep.iter().enumerate().map(|(k, s)| (*s, k)).collect();
+        let fields = keep
+            .iter()
+            .map(|s| {
+                let g = self.view.geometry_of(*s);
+                SurveyField::new(&g.frame, g.steps, g.accuracy, self.unit, origin)
+            })
+            .collect();
+        let patches = selection
+            .records
+            .iter()
+            .map(|r| Patch {
+                id: r.id,
+                survey: slot[&r.survey],
+                place: r.place,
+                bot: r.bot,
+                top: r.top,
+                floor: r.floor,
+            })
+            .collect();
+        let surface = Surface::new(origin, self.unit, fields, patches, blend);
+        let data = Data {
+            view: &self.view,
+            surveys: keep,
+            patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
+            vertices: Cache::new(4096),
+            hoods: Cache::new(65536),
+        };
+        Ground { snapshot: self, surface, cut, data, selection }
+    }
+
+    /// Heights at scattered points. Works through the points place by place, so memory stays small however far apart
+    /// they lie; the answers do not depend on it.
+    pub fn heights(&self, points: &[[f64; 2]], tolerance: &Tolerance, blend: Blend) -> Result<Vec<Option<Evaluation>>> {
+        let mut out = vec![None; points.len()];
+        let mut order: Vec<usize> =
+            (0..points.len()).filter(|k| points[*k].iter().all(|v| v.is_finite())).collect();
+        let finest = self
+            .entries()
+            .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
+            .fold(f64::INFINITY, f64::min);
+        self.heights_within(points, &mut order, tolerance, blend, finest * 1024.0, &mut out)?;
+        Ok(out)
+    }
+
+    fn heights_within(
+        &self,
+        points: &[[f64; 2]],
+        order: &mut [usize],
+        tolerance: &Tolerance,
+        blend: Blend,
+        side_max: f64,
+        out: &mut [Option<Evaluation>],
+    ) -> Result<()> {
+        if order.is_empty() || self.view.tree.is_none() {
+            return Ok(());
+        }
+        let b = crate::height::lod::cut::bounds(&order.iter().map(|k| points[*k]).collect::<Vec<_>>());
+        let (w, h) = (b[2] - b[0], b[3] - b[1]);
+        if w.max(h) > side_max && order.len() > 1 {
+            let axis = usize::from(h > w);
+            let mid = (b[axis] + b[axis + 2]) / 2.0;
+            order.sort_by(|x, y| (points[*x][axis] > mid).cmp(&(points[*y][axis] > mid)).then(x.cmp(y)));
+            let split = order.partition_point(|k| points[*k][axis] <= mid);
+            let (left, right) = order.split_at_mut(split);
+            self.heights_within(points, left, tolerance, blend, side_max, out)?;
+            return self.heights_within(points, right, tolerance, blend, side_max, out);
+        }
+        // A region around the points: any superset gives the same heights.
+        let pad = (b[0].abs().max(b[1].abs()).max(b[2].abs()).max(b[3].abs())).max(1.0) * 1e-9 + w.max(h) * 1e-6;
+        let region = Region::from_box([b[0] - pad, b[1] - pad, b[2] + pad, b[3] + pad]);
+        // The points were named: a camera sets their tolerance, not what it sees.
+        let cut = self.cut(tolerance);
+        let selection = self.select_in(region, &*cut, blend)?;
+        let ground = self.ground(selection, cut, blend);
+        let here: Vec<[f64; 2]> = order.iter().map(|k| points[*k]).collect();
+        for (k, e) in order.iter().zip(ground.heights(&here)?) {
+            out[*k] = e;
+        }
+        Ok(())
+    }
+}
+
+/// Where a surface gets its numbers: the tables of a version, cached.
+struct Data<'a> {
+    view: &'a View,
+    surveys: Vec<SurveyNumber>,
+    patches: Vec<(usize, Place)>,
+    vertices: Cache<usize, Arc<Vertices>>,
+    hoods: Cache<(usize, i32, i32), Arc<Hood>>,
+}
+
+impl Source for Data<'_> {
+    fn vertices(&self, patch: usize) -> Result<Arc<Vertices>> {
+        if let Some(v) = self.vertices.get(&patch) {
+            return Ok(v);
+        }
+        let (survey, place) = self.patches[patch];
+        let z = self.view.with_samples(self.surveys[survey], |r| r.vertices(place))?;
+        let z: Arc<Vertices> = Arc::from(z);
+        self.vertices.insert(patch, z.clone());
+        Ok(z)
+    }
+
+    fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>> {
+        if let Some(h) = self.hoods.get(&(survey, i, j)) {
+            return Ok(h);
+        }
+        let rules = Rules(self.view);
+        let n = self.surveys[survey];
+        let g = rules.geometry(n);
+        let mut blocks = [Block::EMPTY; 9];
+        // A point beside the survey asks for blocks that cannot exist; indices there may not even be places.
+        let near = Place { level: 0, i, j }.rect().grow(1).overlaps(&g.core);
+        if near {
+            for (k, b) in blocks.iter_mut().enumerate() {
+                let (a, c) = (i + k as i32 % 3 - 1, j + k as i32 / 3 - 1);
+                let place = Place { level: 0, i: a, j: c };
+                *b = match rules.fill(n, Cells::CorePrime, place)? {
+                    Fill::Empty => Block::EMPTY,
+                    Fill::Full => Block::FULL,
+                    Fill::Mixed => rules.block(n, Cells::CorePrime, a, c)?,
+                };
+            }
+        }
+        let h = Arc::new(Hood::of(&blocks));
+        self.hoods.insert((survey, i, j), h.clone());
+        Ok(h)
+    }
+}
+
+/// A surface of one version over a region: the one function that is measured and drawn.
+pub struct Ground<'a> {
+    pub snapshot: &'a Snapshot,
+    pub surface: Surface,
+    cut: Box<dyn Cut>,
+    data: Data<'a>,
+    pub selection: Selection,
+}
+
+impl Ground<'_> {
+    pub fn sheet(&self) -> Sheet<'_> {
+        Sheet { surface: &self.surface, cut: &*self.cut, source: &self.data }
+    }
+
+    /// Which survey a patch of the surface belongs to.
+    pub fn survey_of(&self, patch: usize) -> SurveyNumber {
+        self.data.surveys[self.surface.patches[patch].survey]
+    }
+
+    /// Heights at points, in parallel; `None` where there is no data.
+    pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        let parts: Vec<Vec<Option<Evaluation>>> =
+            points.par_chunks(2048).map(|c| self.sheet().heights(c)).collect::<Result<_>>()?;
+        Ok(parts.into_iter().flatten().collect())
+    }
+
+    /// Heights with gradients, in parallel.
+    pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        let parts: Vec<Vec<Option<Evaluation>>> =
+            points.par_chunks(2048).map(|c| self.sheet().slopes(c)).collect::<Result<_>>()?;
+        Ok(parts.into_iter().flatten().collect())
+    }
+
+    /// The allowed error at a point, metres.
+    pub fn tolerance(&self, p: [f64; 2]) -> f64 {
+        self.cut.at(p)
+    }
+
+    /// The greatest tolerance anywhere in the region (the camera's grows with depth).
+    pub fn tolerance_max(&self) -> f64 {
+        self.cut.bounds(&self.selection.region.polygon).1
+    }
+}
+
+impl Snapshot {
+    /// Who makes the height at a point: patches and normalised weights, largest first; empty where there is no data.
+    pub fn explain(&self, p: [f64; 2], tolerance: &Tolerance, blend: Blend) -> Result<Vec<(Record, f64)>> {
+        let pad = (p[0].abs().max(p[1].abs())).max(1.0) * 1e-9;
+        let region = Region::from_box([p[0] - pad, p[1] - pad, p[0] + pad, p[1] + pad]);
+        let cut = self.cut(tolerance);
+        let ground = self.ground(self.select_in(region, &*cut, blend)?, cut, blend);
+        let found = ground.sheet().explain(p)?;
+        Ok(found.map_or(Vec::new(), |(_, who)| who.into_iter().map(|(k, w)| (ground.selection.records[k], w)).collect()))
+    }
+
+    /// The patch that weighs most at each point; `None` where there is no data.
+    pub fn dominant(&self, points: &[[f64; 2]], tolerance: &Tolerance, blend: Blend) -> Result<Vec<Option<Record>>> {
+        let b = crate::height::lod::cut::bounds(points);
+        if !b[0].is_finite() {
+            return Ok(vec![None; points.len()]);
+        }
+        let pad = (b[2] - b[0]).max(b[3] - b[1]).max(1.0) * 1e-6;
+        let region = Region::from_box([b[0] - pad, b[1] - pad, b[2] + pad, b[3] + pad]);
+        let cut = self.cut(tolerance);
+        let ground = self.ground(self.select_in(region, &*cut, blend)?, cut, blend);
+        points
+            .par_iter()
+            .map(|p| {
+                let found = ground.sheet().explain(*p)?;
+                Ok(found.and_then(|(_, who)| who.first().map(|(k, _)| ground.selection.records[*k])))
+            })
+            .collect()
+    }
+}

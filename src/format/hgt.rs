@@ -101,14 +101,15 @@ impl HeightSource for Hgt {
         window::check(&self.info, w)?;
         let row_bytes = w.cols * POST_BYTES as usize;
         let mut data = vec![0; row_bytes * w.rows];
-        if row_bytes > 0 {
-            for (i, row) in data.chunks_exact_mut(row_bytes).enumerate() {
-                let at = ((w.row + i as u64) * self.info.cols + w.col) * POST_BYTES;
-                self.bytes
-                    .seek(SeekFrom::Start(at))
-                    .and_then(|_| self.bytes.read_exact(row))
-                    .map_err(|e| Error::io(&self.info.file, e))?;
-            }
+        // Whole rows follow one another in the file: all at once.
+        let whole_rows = w.cols as u64 == self.info.cols;
+        let run_bytes = if whole_rows { data.len() } else { row_bytes };
+        for (i, run) in data.chunks_exact_mut(run_bytes.max(1)).enumerate() {
+            let at = ((w.row + i as u64) * self.info.cols + w.col) * POST_BYTES;
+            self.bytes
+                .seek(SeekFrom::Start(at))
+                .and_then(|_| self.bytes.read_exact(run))
+                .map_err(|e| Error::io(&self.info.file, e))?;
         }
         for sample in data.chunks_exact_mut(POST_BYTES as usize) {
             sample.reverse();

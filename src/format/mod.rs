@@ -6,7 +6,9 @@
 //! samples are no height. Each folder is the only door to the library behind it.
 
 pub mod geotiff;
+pub mod gltf;
 pub mod hgt;
+pub mod relief;
 mod voids;
 mod window;
 
@@ -35,6 +37,10 @@ pub fn open(path: &Path) -> Result<Box<dyn HeightSource>> {
     })?;
     if meta.is_dir() {
         return Err(Error::unsupported(name, "a directory, not a survey file", "name the files inside it"));
+    }
+    if !meta.is_file() {
+        // A pipe would block for ever.
+        return Err(Error::unsupported(name, "not a regular file", "copy it into one"));
     }
     let file = File::open(path).map_err(|e| Error::io(path, e))?;
     let mut head = Vec::new();

@@ -75,7 +75,7 @@ impl Blocks {
             let place = if tiled { "tile size" } else { "rows per strip" };
             return Err(Error::corrupt(file, place, format!("{block_cols} x {block_rows}")));
         }
-        let separate = layout.planar_configuration == PLANAR_SEPARATE as _;
+        let separate = layout.planar_configuration == PLANAR_SEPARATE;
         let samples = if separate { 1 } else { layout.samples_per_pixel };
         let stride_bytes = samples * layout.bytes_per_sample;
         // u32 * u32 * (u16 * 8) does not fit in u64.

@@ -14,7 +14,7 @@ use crate::height::source::{HeightSource, SampleType, Samples, SourceInfo, Windo
 use std::path::Path;
 use std::sync::Arc;
 use tiff_reader::source::{BytesSource, FileSource, SharedSource};
-use tiff_reader::{ByteOrder, Ifd, OpenOptions, ParseBudgets, TiffError, TiffFile};
+use tiff_reader::{ByteOrder, Ifd, OpenOptions, ParseBudgets, RasterLayout, TiffError, TiffFile};
 
 const TAG_SUBFILE_TYPE: u16 = 254;
 const TAG_EXTRA_SAMPLES: u16 = 338;
@@ -28,6 +28,8 @@ const EXTRA_ALPHA: [u16; 2] = [1, 2];
 const HEADER_BYTES: u64 = 8;
 /// Images in one file (overviews, masks, pages).
 const IMAGES_MAX: usize = 1000;
+/// Tags of one image.
+const IMAGE_TAGS_MAX: usize = 4096;
 /// Bytes of all tags of a file: tables of 16 million blocks and some more.
 const TAG_BYTES_MAX: usize = 256 << 20;
 /// Rows worth reading together, where blocks are flatter.
@@ -36,6 +38,8 @@ const ROW_BATCH_MIN: u64 = 64;
 const ROW_BATCH_POSTS: u64 = 16 << 20;
 /// Bytes of decoded blocks kept for windows that do not follow the batches.
 const CACHE_BYTES: u64 = 64 << 20;
+/// Blocks kept.
+const CACHE_SLOTS: usize = 256;
 /// Bytes read at once from uncompressed strips.
 const PLAIN_READ_BYTES: u64 = 8 << 20;
 
@@ -93,39 +97,9 @@ impl GeoTiff {
 
     fn new(file: String, source: SharedSource) -> Result<GeoTiff> {
         let span_bytes = source.len();
-        if span_bytes < HEADER_BYTES {
-            let reason = format!("the file has {span_bytes} bytes, a header alone has {HEADER_BYTES}");
-            return Err(Error::corrupt(file, "header", reason));
-        }
-        let mut options = OpenOptions {
-            block_cache_bytes: CACHE_BYTES as usize,
-            block_cache_slots: 257,
-            parse_budgets: ParseBudgets {
-                max_ifds: IMAGES_MAX,
-                max_ifd_entries: 4096,
-                max_tag_value_bytes: TAG_BYTES_MAX,
-                max_metadata_value_bytes: TAG_BYTES_MAX,
-            },
-            decode_output_bytes: limits::INPUT_BLOCK_BYTES_MAX as usize,
-        };
-        let parse = |options| {
-            TiffFile::from_source_with_options(source.clone(), options)
-                .map_err(|e| tiff_error(&file, "header or image directory", e))
-        };
-        let mut tiff = parse(options)?;
-        let ifd = tiff.ifd(0).map_err(|_| Error::corrupt(&file, "header", "the file holds no image"))?;
-        let sample_type = sample_type(&file, ifd)?;
-        let (blocks, layout) = Blocks::check(&file, span_bytes, ifd)?;
-
-        // The cache is fixed at opening: open again if one row of blocks does not fit into the usual one.
-        let row_bytes = blocks.across.saturating_mul(blocks.block_bytes);
-        let batches_split_blocks = !row_batch(&blocks).is_multiple_of(blocks.block_rows);
-        if blocks.across > 250 || (batches_split_blocks && row_bytes > CACHE_BYTES && !reads_plain(&blocks)) {
-            options.block_cache_slots = blocks.across as usize + 8;
-            options.block_cache_bytes = row_bytes.clamp(CACHE_BYTES, limits::INPUT_BLOCK_BYTES_MAX) as usize;
-            tiff = parse(options)?;
-        }
+        let (tiff, blocks, layout) = open_tiff(&file, source)?;
         let ifd = tiff.ifd(0).map_err(|e| tiff_error(&file, "header", e))?;
+        let sample_type = sample_type(&file, ifd)?;
 
         let mut notes = Vec::new();
         if layout.samples_per_pixel > 1 {
@@ -190,7 +164,7 @@ impl GeoTiff {
             self.tiff.read_band_window_bytes_from_ifd(ifd, band, row, col, w.rows, w.cols).map_err(|e| {
                 let place = match &e {
                     TiffError::DecompressionFailed { index, .. } => place(*index),
-                    _ => format!("rows {row} to {}", row + w.rows),
+                    _ => format!("rows {row} to {}", row + w.rows - 1),
                 };
                 tiff_error(&self.info.file, &place, e)
             })?;
@@ -287,6 +261,48 @@ impl HeightSource for GeoTiff {
     fn row_batch(&self) -> usize {
         row_batch(&self.blocks) as usize
     }
+}
+
+/// Parses the directories and holds the first image's blocks against file and limits.
+fn open_tiff(file: &str, source: SharedSource) -> Result<(TiffFile, Blocks, RasterLayout)> {
+    let span_bytes = source.len();
+    if span_bytes < HEADER_BYTES {
+        let reason = format!("the file has {span_bytes} bytes, a header alone has {HEADER_BYTES}");
+        return Err(Error::corrupt(file, "header", reason));
+    }
+    let mut options = OpenOptions {
+        block_cache_bytes: CACHE_BYTES as usize,
+        block_cache_slots: CACHE_SLOTS,
+        parse_budgets: ParseBudgets {
+            max_ifds: IMAGES_MAX,
+            max_ifd_entries: IMAGE_TAGS_MAX,
+            max_tag_value_bytes: TAG_BYTES_MAX,
+            max_metadata_value_bytes: TAG_BYTES_MAX,
+        },
+        decode_output_bytes: limits::INPUT_BLOCK_BYTES_MAX as usize,
+    };
+    let parse = |options| {
+        TiffFile::from_source_with_options(source.clone(), options)
+            .map_err(|e| tiff_error(file, "header or image directory", e))
+    };
+    let tiff = parse(options)?;
+    let ifd = tiff.ifd(0).map_err(|_| Error::corrupt(file, "header", "the file holds no image"))?;
+    sample_type(file, ifd)?;
+    let (blocks, layout) = Blocks::check(file, span_bytes, ifd)?;
+
+    // The cache is fixed at opening: open again if one row of blocks does not fit into the usual one.
+    // Batches of whole blocks need each block once; only batches that split blocks need more bytes.
+    let row_bytes = blocks.across.saturating_mul(blocks.block_bytes);
+    let splits_blocks = !reads_plain(&blocks) && !row_batch(&blocks).is_multiple_of(blocks.block_rows);
+    if blocks.across as usize >= CACHE_SLOTS || (splits_blocks && row_bytes > CACHE_BYTES) {
+        options.block_cache_slots = CACHE_SLOTS.max(blocks.across as usize + 1);
+        if splits_blocks {
+            let bytes = row_bytes.clamp(CACHE_BYTES, limits::INPUT_BLOCK_BYTES_MAX);
+            options.block_cache_bytes = bytes as usize;
+        }
+        return Ok((parse(options)?, blocks, layout));
+    }
+    Ok((tiff, blocks, layout))
 }
 
 /// Rows of a batch: whole blocks, at least 64 rows, unless that is more posts than fit.

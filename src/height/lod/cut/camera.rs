@@ -158,6 +158,25 @@ impl Cut for Camera {
         let t = self.tolerance(self.depth(x), x.hypot(self.pitch_sin * y));
         if t.is_nan() { f64::INFINITY } else { t }
     }
+
+    fn gradient(&self, p: [f64; 2]) -> [f64; 2] {
+        let (x, y) = self.local(p);
+        let s = self.pitch_sin.abs();
+        let w = self.depth(x);
+        let w_x = if w > self.near { self.pitch_cos } else { 0.0 };
+        let rho = x.hypot(s * y);
+        let (rho_x, rho_y) = if rho > 0.0 { (x / rho, s * s * y / rho) } else { (0.0, 0.0) };
+        let below = self.focal * rho + self.pixels * s * w;
+        if below <= 0.0 {
+            return [0.0; 2];
+        }
+        // d(tau w^2 / below) by w and by rho.
+        let by_w = self.pixels * w * (2.0 * below - self.pixels * s * w) / (below * below);
+        let by_rho = -self.pixels * w * w * self.focal / (below * below);
+        let (dx, dy) = (by_w * w_x + by_rho * rho_x, by_rho * rho_y);
+        let f = self.forward;
+        [dx * f[0] + dy * f[1], dx * f[1] - dy * f[0]]
+    }
 }
 
 /// Distance of the origin from a convex polygon (0 inside).
@@ -246,6 +265,24 @@ mod tests {
                 let p = [0, 1].map(|k| hull.iter().zip(&w).map(|(v, w)| v[k] * w / t).sum::<f64>());
                 let d = c.at(p);
                 assert!(lo <= d && d <= hi, "{lo} {d} {hi}");
+            }
+        }
+    }
+
+    #[test]
+    fn gradient_is_the_derivative() {
+        let c = Camera::new([10.0, 20.0, 900.0], [500.0, 300.0, 200.0], 50.0, [800, 600], 2.0, None)
+            .unwrap()
+            .over(0.0, 100.0);
+        for p in [[400.0, 300.0], [1000.0, -50.0], [-300.0, 80.0]] {
+            let g = c.gradient(p);
+            let h = 1e-3;
+            for k in 0..2 {
+                let (mut a, mut b) = (p, p);
+                a[k] -= h;
+                b[k] += h;
+                let d = (c.at(b) - c.at(a)) / (2.0 * h);
+                assert!((d - g[k]).abs() < 1e-7 * d.abs().max(1e-3), "{d} {g:?}");
             }
         }
     }

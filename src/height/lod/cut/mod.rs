@@ -4,7 +4,7 @@ mod camera;
 mod region;
 
 pub use camera::Camera;
-pub use region::Region;
+pub use region::{Region, bounds};
 
 /// A tolerance over the plane, metres (section 5.2 of the LOD-space specification).
 pub trait Cut: Sync {
@@ -12,6 +12,8 @@ pub trait Cut: Sync {
     fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64);
     /// The tolerance at a point.
     fn at(&self, p: [f64; 2]) -> f64;
+    /// Its derivatives by x and y there.
+    fn gradient(&self, p: [f64; 2]) -> [f64; 2];
 }
 
 /// The same tolerance everywhere.
@@ -24,5 +26,8 @@ impl Cut for Constant {
     }
     fn at(&self, _: [f64; 2]) -> f64 {
         self.0
+    }
+    fn gradient(&self, _: [f64; 2]) -> [f64; 2] {
+        [0.0; 2]
     }
 }

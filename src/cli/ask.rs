@@ -1,0 +1,400 @@
+//! Commands that read: surveys, tiles, versions, patches, heights, boxes.
+
+use super::args::{Region, Source, ToleranceArgs, numbers};
+use super::output::{Output, count, table};
+use crate::base::{Error, Result};
+use crate::db::query::{Query, difference, set_hash};
+use crate::db::{self, Snapshot};
+use crate::height::surface::Evaluation;
+use crate::store::quadtree::Record;
+use clap::Args;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// List what is in the database
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt surveys hills --json")]
+pub struct Surveys {
+    #[command(flatten)]
+    source: Source,
+}
+
+impl Surveys {
+    pub fn run(self) -> Result<bool> {
+        let (_, s) = self.source.open()?;
+        let rows = db::surveys(&s)?;
+        let mut out = Output::new();
+        if self.source.json {
+            out.json(&rows)?;
+            return out.end();
+        }
+        if rows.is_empty() {
+            out.line("no survey yet; `terraquilt ingest` brings one")?;
+            return out.end();
+        }
+        let lines: Vec<Vec<String>> = rows
+            .iter()
+            .map(|r| {
+                vec![
+                    r.name.clone(),
+                    r.date.clone().unwrap_or_else(|| "-".into()),
+                    format!("{}", r.accuracy_m),
+                    format!("{} x {}", r.step[0], r.step[1]),
+                    format!("{:.1}", r.rotation_deg),
+                    format!("{} x {}", r.cols, r.rows),
+                    r.tiles.to_string(),
+                    count(r.live),
+                    count(r.dormant),
+                    r.version.to_string(),
+                ]
+            })
+            .collect();
+        table(
+            &["name", "date", "accuracy m", "step", "turned", "posts", "tiles", "live", "dormant", "since version"],
+            &lines,
+            &mut out,
+        )?;
+        out.end()
+    }
+}
+
+/// List the tiles of a survey
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt tiles hills lidar-2025")]
+pub struct Tiles {
+    #[command(flatten)]
+    source: Source,
+    survey: String,
+}
+
+impl Tiles {
+    pub fn run(self) -> Result<bool> {
+        let (_, s) = self.source.open()?;
+        let entry = s.survey(&self.survey)?;
+        let head = s.head(entry.number)?;
+        let mut out = Output::new();
+        let mut tiles: Vec<_> = head.tiles.iter().collect();
+        tiles.sort_by(|a, b| a.file.cmp(&b.file).then(a.key.cmp(&b.key)));
+        if self.source.json {
+            let rows: Vec<Value> = tiles
+                .iter()
+                .map(|t| {
+                    json!({"key": t.id(), "file": t.file, "first": [t.posts.i0, t.posts.j0], "cols": t.posts.width(),
+                           "rows": t.posts.height(), "valid": t.valid, "z_min": t.z[0], "z_max": t.z[1]})
+                })
+                .collect();
+            out.json(&rows)?;
+            return out.end();
+        }
+        let rows: Vec<Vec<String>> = tiles
+            .iter()
+            .map(|t| {
+                vec![
+                    t.file.clone(),
+                    t.id()[..12].to_string(),
+                    format!("{} x {}", t.posts.width(), t.posts.height()),
+                    format!("{}, {}", t.posts.i0, t.posts.j0),
+                    count(t.valid),
+                    format!("{} .. {}", t.z[0], t.z[1]),
+                ]
+            })
+            .collect();
+        table(&["file", "key", "posts", "first post", "valid", "heights m"], &rows, &mut out)?;
+        out.end()
+    }
+}
+
+/// List every commit
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt versions hills\nReading commands take --at VERSION.")]
+pub struct Versions {
+    /// Directory of the database
+    db: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Versions {
+    pub fn run(self) -> Result<bool> {
+        let db = db::Db::open(&self.db)?;
+        let versions = db.versions()?;
+        let mut out = Output::new();
+        if self.json {
+            let rows: Vec<Value> = versions
+                .iter()
+                .map(|v| json!({"version": v.number, "made_at": v.made_at, "action": v.action, "operation": v.operation}))
+                .collect();
+            out.json(&rows)?;
+            return out.end();
+        }
+        let rows: Vec<Vec<String>> =
+            versions.iter().map(|v| vec![v.number.to_string(), utc(v.made_at), v.action.clone()]).collect();
+        table(&["version", "made (UTC)", "action"], &rows, &mut out)?;
+        out.end()
+    }
+}
+
+/// Seconds since 1970 as a day and a time (days to civil date after Howard Hinnant).
+fn utc(seconds: i64) -> String {
+    let (days, rest) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
+    let z = days + 719_468;
+    let era = z.div_euclid(146_097);
+    let doe = z.rem_euclid(146_097);
+    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
+    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
+    let mp = (5 * doy + 2) / 153;
+    let day = doy - (153 * mp + 2) / 5 + 1;
+    let month = if mp < 10 { mp + 3 } else { mp - 9 };
+    let year = yoe + era * 400 + i64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02}", rest / 3600, rest / 60 % 60, rest % 60)
+}
+
+/// List the patches that a region needs within a tolerance
+#[derive(Args)]
+#[command(after_help = "Examples:\n  terraquilt patches hills --error 5\n  terraquilt patches hills --bbox 500000,4100000,501000,4101000 --error 1 --json\n  terraquilt patches hills --eye 500000,4100000,2500 --look-at 503000,4102000,1800\n  terraquilt patches hills --error 5 --since 3      # what changed since version 3")]
+pub struct Patches {
+    #[command(flatten)]
+    source: Source,
+    #[command(flatten)]
+    region: Region,
+    #[command(flatten)]
+    tolerance: ToleranceArgs,
+    /// Only what differs from the same question to this version
+    #[arg(long, value_name = "VERSION")]
+    since: Option<u64>,
+}
+
+impl Patches {
+    pub fn run(self) -> Result<bool> {
+        let (db, s) = self.source.open()?;
+        let query = self.tolerance.query(&self.region)?;
+        match self.since {
+            Some(v) => self.difference(&s, &db.snapshot(Some(v))?, &query),
+            None => self.list(&s, &query),
+        }
+    }
+
+    fn list(&self, s: &Snapshot, query: &Query) -> Result<bool> {
+        let found = s.select(query)?;
+        let mut out = Output::new();
+        if self.source.json {
+            let patches = found.records.iter().map(|r| patch(s, r)).collect::<Result<Vec<Value>>>()?;
+            out.json(&json!({
+                "version": found.version, "count": patches.len(), "set": set_hash(&found.records), "patches": patches,
+                "nodes_visited": found.nodes, "records_tested": found.tested,
+            }))?;
+            return out.end();
+        }
+        let mut by: std::collections::BTreeMap<(String, u8), (u64, f32, f32)> = Default::default();
+        for r in &found.records {
+            let name = s.survey_by_number(r.survey)?.name.clone();
+            let e = by.entry((name, r.place.level)).or_insert((0, f32::INFINITY, 0.0));
+            *e = (e.0 + 1, e.1.min(r.bot), e.2.max(r.bot));
+        }
+        let rows: Vec<Vec<String>> = by
+            .iter()
+            .map(|((n, l), (k, lo, hi))| vec![n.clone(), l.to_string(), count(*k), format!("{lo:.3} .. {hi:.3}")])
+            .collect();
+        table(&["survey", "level", "patches", "errors m"], &rows, &mut out)?;
+        out.line(format!(
+            "{} patches at version {}, {} tree nodes read (--json lists them)",
+            count(found.records.len() as u64),
+            found.version,
+            found.nodes
+        ))?;
+        out.end()
+    }
+
+    fn difference(&self, s: &Snapshot, before: &Snapshot, query: &Query) -> Result<bool> {
+        let (old, new) = (before.select(query)?, s.select(query)?);
+        let d = difference(&old.records, &new.records);
+        let mut out = Output::new();
+        if self.source.json {
+            let added = d.added.iter().map(|r| patch(s, r)).collect::<Result<Vec<Value>>>()?;
+            let changed: Vec<Value> = d
+                .changed
+                .iter()
+                .map(|r| json!({"id": r.id.to_string(), "top_m": finite(r.top), "floor": r.floor}))
+                .collect();
+            let removed: Vec<String> = d.removed.iter().map(|r| r.id.to_string()).collect();
+            out.json(&json!({
+                "from": before.number(), "to": s.number(), "added": added, "removed": removed, "changed": changed,
+                "set": set_hash(&new.records),
+            }))?;
+            return out.end();
+        }
+        out.line(format!(
+            "from version {} to {}: {} added, {} removed, {} with another top or floor, {} unchanged",
+            before.number(),
+            s.number(),
+            count(d.added.len() as u64),
+            count(d.removed.len() as u64),
+            count(d.changed.len() as u64),
+            count((new.records.len() - d.added.len() - d.changed.len()) as u64),
+        ))?;
+        out.end()
+    }
+}
+
+fn finite(v: f32) -> Option<f32> {
+    v.is_finite().then_some(v)
+}
+
+fn patch(s: &Snapshot, r: &Record) -> Result<Value> {
+    let e = s.survey_by_number(r.survey)?;
+    let g = &e.geometry;
+    let size = s.unit().size();
+    let domain = r.place.domain();
+    let quad = g.frame.quad(&domain).0.map(|p| [p.x as f64 * size, p.y as f64 * size]);
+    let center = [0, 1].map(|k| quad.iter().map(|p| p[k]).sum::<f64>() / 4.0);
+    let half = [g.steps[0] * domain.width() as f64 / 2.0, g.steps[1] * domain.height() as f64 / 2.0];
+    Ok(json!({
+        "id": r.id.to_string(), "survey": e.name, "level": r.place.level, "index": [r.place.i, r.place.j],
+        "center": center, "half": half, "angle_deg": (g.frame.u.y as f64).atan2(g.frame.u.x as f64).to_degrees(),
+        "domain": quad, "error_m": r.bot, "top_m": finite(r.top), "floor": r.floor,
+    }))
+}
+
+/// Heights of the surface at points
+#[derive(Args)]
+#[command(after_help = "Examples:\n  terraquilt heights hills --error 0 562310.5,5116320\n  terraquilt heights hills --error 1 --points stakes.csv > heights.csv\n  terraquilt heights hills --error 0 562310.5,5116320 --explain")]
+pub struct Heights {
+    #[command(flatten)]
+    source: Source,
+    /// Points in the database's CRS
+    #[arg(value_name = "X,Y", allow_hyphen_values = true)]
+    at_points: Vec<String>,
+    #[command(flatten)]
+    tolerance: ToleranceArgs,
+    /// A CSV file: x and y in the first two columns, or in columns named x and y
+    #[arg(long, value_name = "FILE.csv", conflicts_with = "at_points")]
+    points: Option<PathBuf>,
+    /// Say which patches contributed, and with what weight
+    #[arg(long)]
+    explain: bool,
+}
+
+impl Heights {
+    pub fn run(self) -> Result<bool> {
+        let (_, s) = self.source.open()?;
+        let points = match &self.points {
+            Some(f) => read_points(f)?,
+            None if self.at_points.is_empty() => {
+                return Err(Error::invalid("points", "none given; name X,Y ... or --points FILE.csv"));
+            }
+            None => self.at_points.iter().map(|t| numbers("point", t)).collect::<Result<Vec<[f64; 2]>>>()?,
+        };
+        let tolerance = self.tolerance.get()?;
+        if let (crate::db::query::Tolerance::Camera(_), crate::height::crs::AxisUnit::Degree) = (&tolerance, s.crs().unit) {
+            return Err(Error::unsupported(&s.crs().code, "a camera needs metres, and this database is in degrees", "ask with --error M"));
+        }
+        let found = s.heights(&points, &tolerance, self.tolerance.blend())?;
+        let mut out = Output::new();
+        if !self.source.json {
+            out.line("x,y,z,error_m")?;
+        }
+        let mut rows = Vec::new();
+        for (p, e) in points.iter().zip(&found) {
+            if self.source.json {
+                let mut row = row(p, e.as_ref());
+                if self.explain {
+                    row["sources"] = sources(&s, &tolerance, self.tolerance.blend(), *p)?;
+                }
+                rows.push(row);
+                continue;
+            }
+            match e {
+                Some(e) => out.line(format!("{},{},{},{}", p[0], p[1], e.z, e.error_m))?,
+                None => out.line(format!("{},{},,", p[0], p[1]))?,
+            }
+            if self.explain {
+                for x in sources(&s, &tolerance, self.tolerance.blend(), *p)?.as_array().unwrap_or(&Vec::new()) {
+                    out.line(format!("# {} patch {} weight {}", x["survey"], x["patch"], x["weight"]))?;
+                }
+            }
+        }
+        if self.source.json {
+            out.json(&rows)?;
+        }
+        out.end()
+    }
+}
+
+fn row(p: &[f64; 2], e: Option<&Evaluation>) -> Value {
+    match e {
+        Some(e) => json!({"x": p[0], "y": p[1], "z": e.z, "error_m": e.error_m, "accuracy_m": e.accuracy_m,
+                          "certified": e.certified, "synthetic": false}),
+        None => json!({"x": p[0], "y": p[1], "z": null, "error_m": null, "accuracy_m": null, "certified": false,
+                       "synthetic": false}),
+    }
+}
+
+fn sources(
+    s: &Snapshot,
+    tolerance: &crate::db::query::Tolerance,
+    blend: crate::height::surface::Blend,
+    p: [f64; 2],
+) -> Result<Value> {
+    let mut list = Vec::new();
+    for (record, weight) in s.explain(p, tolerance, blend)? {
+        list.push(json!({
+            "survey": s.survey_by_number(record.survey)?.name, "patch": record.id.to_string(), "weight": weight,
+            "level": record.place.level, "error_m": record.bot, "floor": record.floor,
+        }));
+    }
+    Ok(Value::Array(list))
+}
+
+/// Reads x and y from a CSV file; a header may name the columns.
+fn read_points(path: &PathBuf) -> Result<Vec<[f64; 2]>> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
+    let mut columns = [0usize, 1];
+    let mut points = Vec::new();
+    let mut first = true;
+    for (n, line) in text.lines().enumerate() {
+        let line = line.trim_start_matches('\u{feff}').trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let cells: Vec<&str> = line.split([',', ';', '\t']).map(|c| c.trim().trim_matches('"')).collect();
+        let number = |k: usize| cells.get(columns[k]).and_then(|c| c.parse::<f64>().ok()).filter(|v| v.is_finite());
+        match (number(0), number(1)) {
+            (Some(x), Some(y)) => points.push([x, y]),
+            _ if first => {
+                let find = |name: &str| cells.iter().position(|c| c.eq_ignore_ascii_case(name));
+                match (find("x").or(find("easting")).or(find("lon")), find("y").or(find("northing")).or(find("lat"))) {
+                    (Some(x), Some(y)) => columns = [x, y],
+                    _ => {
+                        return Err(Error::invalid(
+                            path.display(),
+                            format!("line {}: '{line}' is neither two numbers nor a header with columns x and y", n + 1),
+                        ));
+                    }
+                }
+            }
+            _ => {
+                return Err(Error::invalid(path.display(), format!("line {}: '{line}' has no numbers for x and y", n + 1)));
+            }
+        }
+        first = false;
+    }
+    Ok(points)
+}
+
+/// Print every patch as exact integers, one JSON object a line, for independent checking
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt boxes hills > boxes.jsonl")]
+pub struct Boxes {
+    #[command(flatten)]
+    source: Source,
+}
+
+impl Boxes {
+    pub fn run(self) -> Result<bool> {
+        let (_, s) = self.source.open()?;
+        let mut out = Output::new();
+        db::boxes(&s, |b| out.json(&b))?;
+        out.end()
+    }
+}

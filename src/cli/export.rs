@@ -1,0 +1,309 @@
+//! `export`: the surface as GLB, GeoTIFF or PNG; a survey's own samples, bit for bit.
+
+use super::args::{Region, Source, ToleranceArgs, numbers};
+use super::output::{Meter, Output, bytes, count, message, stop_flag};
+use super::shading::Raster;
+use crate::base::{Error, Result};
+use crate::db::query::Query;
+use crate::db::{self, Snapshot};
+use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
+use crate::format::gltf::{GlbMesh, write_glb};
+use crate::format::relief::{Relief, write_relief};
+use crate::height::source::{Affine, SampleType};
+use clap::Args;
+use serde_json::{Map, json};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+/// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief
+#[derive(Args)]
+#[command(after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit")]
+pub struct Export {
+    /// Directory of the database
+    db: PathBuf,
+    /// File to write; its ending says the format
+    out: PathBuf,
+    /// Read this version instead of the latest
+    #[arg(long, value_name = "VERSION")]
+    at: Option<u64>,
+    #[command(flatten)]
+    region: Region,
+    #[command(flatten)]
+    tolerance: OptionalTolerance,
+    /// A survey's own samples instead of the surface
+    #[arg(long, value_name = "SURVEY")]
+    survey: Option<String>,
+    /// With --survey: this tile, by file name or key
+    #[arg(long, value_name = "T", requires = "survey")]
+    tile: Option<String>,
+    /// .tif and .png: pixel size in CRS units (X or X,Y)
+    #[arg(long, value_name = "X[,Y]")]
+    step: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Like [`ToleranceArgs`], but not needed with --survey.
+#[derive(Args)]
+struct OptionalTolerance {
+    #[command(flatten)]
+    inner: ToleranceArgs,
+}
+
+/// Pixels along the longer side of a picture.
+const PICTURE_SIDE: usize = 1600;
+
+impl Export {
+    pub fn run(self) -> Result<bool> {
+        let source = Source { db: self.db.clone(), at: self.at, json: self.json };
+        let (_, s) = source.open()?;
+        let ending = self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        if let Some(name) = &self.survey {
+            if ending != "tif" && ending != "tiff" {
+                return Err(Error::invalid("--survey", "a survey's samples are written as .tif; name such a file"));
+            }
+            let posts = survey(&s, name, self.tile.as_deref(), &self.out)?;
+            return self.told(&json!({"out": self.out, "posts": posts}), &format!("{} posts as delivered", count(posts)));
+        }
+        let query = self.tolerance.inner.query(&self.region)?;
+        match ending.as_str() {
+            "glb" => {
+                let m = glb(&s, &query, &self.out)?;
+                let text = format!(
+                    "{} triangles; error {:.3} m (surface {:.3}, mesh {:.3} measured at {} points)",
+                    count(m.triangles), m.error_m, m.surface_error_m, m.mesh_error_m, count(m.measured_points)
+                );
+                if let crate::db::query::Tolerance::Constant(asked) = query.tolerance
+                    && m.error_m > asked
+                {
+                    message(&format!(
+                        "note: the data there are less accurate than half of what was asked: error {:.3} m, asked {asked} m",
+                        m.error_m
+                    ));
+                }
+                self.told(&m, &text)
+            }
+            "tif" | "tiff" => {
+                let raster = Raster::new(&s, query.region, Some(self.step(&s)?), PICTURE_SIDE)?;
+                let error = tif(&s, &query, &raster, &self.out)?;
+                self.told(
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &format!("{} x {} posts, error {error:.3} m", raster.cols, raster.rows),
+                )
+            }
+            "png" => {
+                let step = self.step.as_deref().map(|_| self.step(&s)).transpose()?;
+                let raster = Raster::new(&s, query.region, step, PICTURE_SIDE)?;
+                let error = png(&s, &query, &raster, &self.out)?;
+                self.told(
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &format!("{} x {} pixels, coloured by patch size", raster.cols, raster.rows),
+                )
+            }
+            other => Err(Error::unsupported(
+                self.out.display(),
+                format!("ending '.{other}' is no format that is written"),
+                "name a .glb, .tif or .png file",
+            )),
+        }
+    }
+
+    fn step(&self, s: &Snapshot) -> Result<[f64; 2]> {
+        let found = match &self.step {
+            Some(t) if t.contains(',') => numbers("--step", t)?,
+            Some(t) => {
+                let [x] = numbers("--step", t)?;
+                [x, x]
+            }
+            None => s
+                .entries()
+                .map(|e| e.geometry.steps)
+                .min_by(|a, b| (a[0] * a[1]).total_cmp(&(b[0] * b[1])))
+                .ok_or_else(|| Error::invalid("region", "the database is empty; `terraquilt ingest` brings a survey"))?,
+        };
+        if found.iter().any(|v| *v <= 0.0) {
+            return Err(Error::invalid("--step", format!("{found:?}; it must be positive")));
+        }
+        Ok(found)
+    }
+
+    fn told(&self, value: &impl serde::Serialize, text: &str) -> Result<bool> {
+        let mut out = Output::new();
+        if self.json {
+            out.json(value)?;
+        } else {
+            let size = std::fs::metadata(&self.out).map_or(0, |m| m.len());
+            out.line(format!("{}: {text}, {}", self.out.display(), bytes(size)))?;
+        }
+        out.end()
+    }
+}
+
+/// Writes a file under a temporary name beside it and renames it: never half a file.
+pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+    let name = path.file_name().ok_or_else(|| Error::invalid(path.display(), "names no file"))?;
+    let temporary = path.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
+    let done = write(&temporary).and_then(|()| std::fs::rename(&temporary, path).map_err(|e| Error::io(path, e)));
+    if done.is_err() {
+        let _ = std::fs::remove_file(&temporary);
+    }
+    done
+}
+
+fn create(path: &Path) -> Result<BufWriter<File>> {
+    Ok(BufWriter::new(File::create(path).map_err(|e| Error::io(path, e))?))
+}
+
+/// What a mesh export found.
+#[derive(serde::Serialize)]
+pub struct MeshFound {
+    pub out: PathBuf,
+    pub vertices: u64,
+    pub triangles: u64,
+    pub error_m: f64,
+    pub surface_error_m: f64,
+    pub mesh_error_m: f64,
+    pub measured_points: u64,
+    pub seconds: f64,
+}
+
+/// Writes a region as GLB.
+pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
+    let started = std::time::Instant::now();
+    let meter = Meter::new();
+    let stop = stop_flag();
+    let found = db::triangulate_region(s, query, &|share| {
+        meter.report("mesh", share);
+        !stop.load(Ordering::Relaxed)
+    });
+    meter.clear();
+    let r = found?;
+    let mut extras = Map::new();
+    extras.insert("surface_error_m".into(), json!(r.surface_error_m));
+    extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
+    if s.crs().unit == crate::height::crs::AxisUnit::Degree {
+        extras.insert("projection".into(), json!("local: metres east and north of the origin, which is in degrees"));
+    }
+    let mesh = GlbMesh {
+        positions: &r.mesh.positions,
+        normals: &r.mesh.normals,
+        triangles: &r.mesh.triangles,
+        colors: None,
+        origin: r.origin,
+        crs: &s.crs().code,
+        error_m: r.error_m,
+        version: s.number(),
+        extras,
+    };
+    write_whole(path, |p| {
+        let mut out = create(p)?;
+        write_glb(&mut out, &mesh)?;
+        out.flush().map_err(|e| Error::io(p, e))
+    })?;
+    Ok(MeshFound {
+        out: path.to_path_buf(),
+        vertices: r.mesh.positions.len() as u64,
+        triangles: r.mesh.triangles.len() as u64,
+        error_m: r.error_m,
+        surface_error_m: r.surface_error_m,
+        mesh_error_m: r.mesh.error_m,
+        measured_points: r.mesh.measured_points,
+        seconds: started.elapsed().as_secs_f64(),
+    })
+}
+
+fn tif(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64> {
+    let [sx, sy] = raster.step();
+    let spec = GeoTiffSpec {
+        cols: raster.cols as u64,
+        rows: raster.rows as u64,
+        sample_type: SampleType::F32,
+        affine: Some(Affine { origin: raster.center(0, 0), col_step: [sx, 0.0], row_step: [0.0, -sy] }),
+        crs: Some(s.crs().clone()),
+        nodata: Some("nan".into()),
+        scale: 1.0,
+        offset: 0.0,
+    };
+    let mut error = 0.0;
+    let meter = Meter::new();
+    write_whole(path, |p| {
+        let mut out = GeoTiffWriter::create(p, spec)?;
+        error = raster.heights(s, query, |row, rows, z| {
+            meter.report("heights", row as f64 / raster.rows as f64);
+            let data: Vec<u8> = z.iter().flat_map(|v| v.to_le_bytes()).collect();
+            let _ = rows;
+            out.write_rows(row as u64, &data)
+        })?;
+        out.finish().map(|_| ())
+    })?;
+    meter.clear();
+    Ok(error)
+}
+
+/// Writes a shaded relief coloured by patch size.
+pub fn png(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64> {
+    let mut z = Vec::with_capacity(raster.cols * raster.rows);
+    let meter = Meter::new();
+    let error = raster.heights(s, query, |row, _, band| {
+        meter.report("heights", row as f64 / raster.rows as f64);
+        z.extend_from_slice(band);
+        Ok(())
+    })?;
+    let class = raster.patch_sizes(s, query)?;
+    meter.clear();
+    write_whole(path, |p| {
+        let mut out = create(p)?;
+        let relief = Relief {
+            cols: raster.cols,
+            rows: raster.rows,
+            z: &z,
+            cell_m: raster.cell_m(s),
+            class: Some(&class),
+            class_range: None,
+        };
+        write_relief(&mut out, &relief)?;
+        out.flush().map_err(|e| Error::io(p, e))
+    })?;
+    Ok(error)
+}
+
+/// A survey's tile, as it was delivered.
+fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<u64> {
+    let entry = s.survey(name)?;
+    let head = s.head(entry.number)?;
+    let index = match tile {
+        Some(t) => head
+            .tiles
+            .iter()
+            .position(|x| x.file == t || (t.len() >= 4 && x.id().starts_with(t)))
+            .ok_or_else(|| Error::missing(format!("tile '{t}' of survey '{name}'"), "see `terraquilt tiles`"))?,
+        None if head.tiles.len() == 1 => 0,
+        None => {
+            return Err(Error::invalid(
+                "--tile",
+                format!("survey '{name}' has {} tiles; say which with --tile (see `terraquilt tiles`)", head.tiles.len()),
+            ));
+        }
+    };
+    let raw = db::read_tile(s, entry.number, index)?;
+    let nodata = raw.tile.nodata.map(|v| if v.is_nan() { "nan".to_string() } else { format!("{v}") });
+    let spec = GeoTiffSpec {
+        cols: raw.cols() as u64,
+        rows: raw.rows() as u64,
+        sample_type: raw.declaration.sample_type,
+        affine: Some(raw.tile.affine),
+        crs: Some(s.crs().clone()),
+        nodata,
+        scale: raw.declaration.scale,
+        offset: raw.declaration.offset,
+    };
+    write_whole(path, |p| {
+        let mut out = GeoTiffWriter::create(p, spec)?;
+        raw.bands(|first, _, samples, _| out.write_rows(first as u64, samples))?;
+        out.finish().map(|_| ())
+    })?;
+    Ok((raw.cols() * raw.rows()) as u64)
+}

@@ -1,0 +1,329 @@
+//! Commands that change a database: init, ingest, replace, set, remove.
+
+use super::args::numbers;
+use super::output::{Meter, Output, count, message, stop_flag};
+use crate::base::date::Date;
+use crate::base::{Error, Result};
+use crate::db::{self, Change, Db, Options, Outcome, Policy, Progress};
+use crate::format;
+use crate::height::crs::Crs;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PolicyName {
+    /// All surveys rank equally; the more accurate one is shown
+    Accuracy,
+    /// The later survey replaces the earlier
+    Newest,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PatchKind {
+    Bilinear,
+    Bicubic,
+}
+
+/// Make a new, empty database
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt init pit --crs EPSG:32610 --policy newest")]
+pub struct Init {
+    /// Directory to make
+    db: PathBuf,
+    /// Coordinate system of the database; surveys have to be in it
+    #[arg(long, value_name = "EPSG:n")]
+    crs: Option<String>,
+    /// Who wins where surveys overlap
+    #[arg(long, value_enum, default_value = "accuracy")]
+    policy: PolicyName,
+    /// Kind of patches
+    #[arg(long, value_enum, default_value = "bilinear")]
+    patch: PatchKind,
+}
+
+impl Init {
+    pub fn run(self) -> Result<bool> {
+        if matches!(self.patch, PatchKind::Bicubic) {
+            return Err(Error::unsupported("--patch bicubic", "not there yet", "use --patch bilinear"));
+        }
+        let Some(crs) = self.crs else {
+            return Err(Error::invalid(
+                "--crs",
+                "which coordinate system? give --crs EPSG:n, that of your grids (gdalinfo FILE shows it)",
+            ));
+        };
+        let policy = match self.policy {
+            PolicyName::Accuracy => Policy::Accuracy,
+            PolicyName::Newest => Policy::Newest,
+        };
+        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy })?;
+        message(&format!(
+            "made {} in {}, policy {}; next: terraquilt ingest {} FILE --accuracy METRES",
+            db.path().display(),
+            db.crs().code,
+            policy.name(),
+            db.path().display()
+        ));
+        Ok(true)
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum VerticalUnit {
+    /// Metres
+    M,
+    /// International feet, 0.3048 m
+    Ft,
+    /// US survey feet, 1200/3937 m
+    UsFt,
+}
+
+impl VerticalUnit {
+    fn metres(self) -> f64 {
+        match self {
+            VerticalUnit::M => 1.0,
+            VerticalUnit::Ft => 0.3048,
+            VerticalUnit::UsFt => 1200.0 / 3937.0,
+        }
+    }
+}
+
+/// What is said of files as they arrive.
+#[derive(Args)]
+struct Said {
+    /// Vertical accuracy of the heights, metres; known products bring their own
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    accuracy: Option<f64>,
+    /// Day of the survey
+    #[arg(long, value_name = "YYYY-MM-DD")]
+    date: Option<String>,
+    /// Rank; a higher one replaces lower ones and wins over the policy
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    precedence: Option<i64>,
+    /// The files are in this coordinate system, whatever they say
+    #[arg(long, value_name = "EPSG:n")]
+    crs: Option<String>,
+    /// This sample value means: no data
+    #[arg(long, value_name = "V", allow_hyphen_values = true)]
+    nodata: Option<f64>,
+    /// Unit of the heights in the files
+    #[arg(long, value_enum, default_value = "m")]
+    vertical_unit: VerticalUnit,
+    /// Declare the lattice that the posts lie on (file headers may be rounded)
+    #[arg(long, value_name = "STEPX,STEPY,PHASEX,PHASEY", allow_hyphen_values = true)]
+    lattice: Option<String>,
+    /// Say what would happen, change nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Name of this call: repeating it does nothing twice
+    #[arg(long, value_name = "ID")]
+    operation: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Said {
+    fn request(&self, db: &Db, files: &[PathBuf]) -> Result<db::Ingest> {
+        let mut sources = Vec::with_capacity(files.len());
+        for f in files {
+            let mut s = format::open(f)?;
+            if let Some(v) = self.nodata {
+                s.set_nodata(v);
+            }
+            sources.push(s);
+        }
+        let assume_crs = match &self.crs {
+            None => false,
+            Some(c) => {
+                let c = Crs::parse(c)?;
+                if c.code != db.crs().code {
+                    return Err(Error::unsupported(
+                        "--crs",
+                        format!("{} is not the database's {}; reprojection is not there yet", c.code, db.crs().code),
+                        format!("warp the files first: gdalwarp -t_srs {} IN.tif OUT.tif", db.crs().code),
+                    ));
+                }
+                true
+            }
+        };
+        Ok(db::Ingest {
+            sources,
+            name: None,
+            into: None,
+            accuracy_m: self.accuracy,
+            date: self.date.as_deref().map(Date::parse).transpose()?,
+            precedence: self.precedence,
+            vertical_unit_m: self.vertical_unit.metres(),
+            assume_crs,
+            lattice: self.lattice.as_deref().map(|l| numbers("--lattice", l)).transpose()?,
+        })
+    }
+
+    fn carry_out(&self, db: &Db, change: Change) -> Result<bool> {
+        let outcome = carry_out(db, change, self.operation.as_deref(), self.dry_run)?;
+        tell(&outcome, self.json, self.dry_run)
+    }
+}
+
+/// Commits a change with a bar on the terminal.
+pub fn carry_out(db: &Db, change: Change, operation: Option<&str>, dry_run: bool) -> Result<Outcome> {
+    let meter = Meter::new();
+    let stop = stop_flag();
+    let report = |stage: &str, share: f64| meter.report(stage, share);
+    let progress = Progress { report: &report, stop: &stop };
+    let mut waiting = || message("another process is writing to this database; waiting for it");
+    let outcome = db.change(change, operation, dry_run, &progress, &mut waiting);
+    meter.clear();
+    outcome
+}
+
+fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
+    for w in &o.warnings {
+        message(&format!("note: {w}"));
+    }
+    let mut out = Output::new();
+    if json {
+        out.json(o)?;
+        return out.end();
+    }
+    if !o.changed && !dry_run {
+        out.line(format!("unchanged, version {}", o.version))?;
+        return out.end();
+    }
+    let verb = if dry_run { "would make" } else { "made" };
+    let version = o.version + u64::from(dry_run);
+    out.line(format!(
+        "{verb} version {version}: '{}', {} posts ({} void), {} patches ({} live, {} dormant), {:.2} s",
+        o.survey,
+        count(o.posts),
+        count(o.voids),
+        count(o.patches),
+        count(o.live),
+        count(o.dormant),
+        o.seconds
+    ))?;
+    for (name, cells) in &o.flipped_cells {
+        out.line(format!("  shows or hides {} cells of '{name}'", count(*cells)))?;
+    }
+    out.end()
+}
+
+/// Bring one survey into the database: its files are its tiles
+#[derive(Args)]
+#[command(after_help = "Examples:\n  terraquilt ingest pit flight-07.tif --accuracy 0.1 --date 2026-03-07\n  terraquilt ingest hills n47/*.tif --name lidar-2025 --accuracy 0.2\n  terraquilt ingest hills late-tile.tif --into lidar-2025")]
+pub struct IngestFiles {
+    /// Directory of the database
+    db: PathBuf,
+    /// GeoTIFF or SRTM HGT files
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// Name of the survey; default: that of the first file
+    #[arg(long, value_name = "S", conflicts_with = "into")]
+    name: Option<String>,
+    /// The files are further tiles of this survey
+    #[arg(long, value_name = "SURVEY")]
+    into: Option<String>,
+    #[command(flatten)]
+    said: Said,
+}
+
+impl IngestFiles {
+    pub fn run(self) -> Result<bool> {
+        let db = Db::open(&self.db)?;
+        let mut request = self.said.request(&db, &self.files)?;
+        request.name = self.name.clone();
+        request.into = self.into.clone();
+        self.said.carry_out(&db, Change::Ingest(request))
+    }
+}
+
+/// Deliver tiles of a survey again: those wholly inside the new files leave, in the same commit
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt replace hills lidar-2025 corrected/*.tif")]
+pub struct Replace {
+    /// Directory of the database
+    db: PathBuf,
+    /// Survey whose tiles are delivered again
+    survey: String,
+    /// GeoTIFF or SRTM HGT files
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    said: Said,
+}
+
+impl Replace {
+    pub fn run(self) -> Result<bool> {
+        let db = Db::open(&self.db)?;
+        let ingest = self.said.request(&db, &self.files)?;
+        self.said.carry_out(&db, Change::Replace { survey: self.survey.clone(), ingest })
+    }
+}
+
+/// Change a survey's date or precedence
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt set pit flight-07 --date 2026-03-08")]
+pub struct Set {
+    /// Directory of the database
+    db: PathBuf,
+    survey: String,
+    /// Day of the survey
+    #[arg(long, value_name = "YYYY-MM-DD", required_unless_present = "precedence")]
+    date: Option<String>,
+    /// Rank; a higher one replaces lower ones and wins over the policy
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    precedence: Option<i64>,
+    /// Name of this call: repeating it does nothing twice
+    #[arg(long, value_name = "ID")]
+    operation: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Set {
+    pub fn run(self) -> Result<bool> {
+        let db = Db::open(&self.db)?;
+        let date = self.date.as_deref().map(Date::parse).transpose()?;
+        let change = Change::Set { survey: self.survey, date, precedence: self.precedence };
+        let o = carry_out(&db, change, self.operation.as_deref(), false)?;
+        tell(&o, self.json, false)
+    }
+}
+
+/// Take surveys (or one tile) out: the terrain as if they had never come
+#[derive(Args)]
+#[command(after_help = "Example:\n  terraquilt remove pit flight-06\nThe bytes stay for --at until `terraquilt prune`.")]
+pub struct Remove {
+    /// Directory of the database
+    db: PathBuf,
+    #[arg(required = true)]
+    surveys: Vec<String>,
+    /// Only this tile, by file name or key (see `terraquilt tiles`)
+    #[arg(long, value_name = "T")]
+    tile: Option<String>,
+    /// Name of this call: repeating it does nothing twice
+    #[arg(long, value_name = "ID")]
+    operation: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Remove {
+    pub fn run(self) -> Result<bool> {
+        let db = Db::open(&self.db)?;
+        let change = Change::Remove { surveys: self.surveys, tile: self.tile };
+        let o = carry_out(&db, change, self.operation.as_deref(), false)?;
+        if self.json {
+            return tell(&o, true, false);
+        }
+        let mut out = Output::new();
+        out.line(format!("made version {}: removed '{}', {:.2} s", o.version, o.survey, o.seconds))?;
+        for (name, cells) in &o.flipped_cells {
+            out.line(format!("  shows {} cells of '{name}' again", count(*cells)))?;
+        }
+        out.end()
+    }
+}

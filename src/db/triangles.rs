@@ -1,0 +1,178 @@
+//! A region of the surface as triangles: the one surface function, its outline and its posts handed to `mesh/`.
+
+use super::query::{Ground, Query, Tolerance};
+use super::view::{Rules, Tables};
+use super::Snapshot;
+use crate::base::{Error, Result};
+use crate::height::crs::AxisUnit;
+use crate::height::lod::cover::rects;
+use crate::height::lod::{Cells, World};
+use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, outline, triangulate};
+use std::sync::Mutex;
+
+/// Posts that one mesh is measured at, at most.
+pub const MESH_POSTS_MAX: u64 = 40_000_000;
+
+/// A mesh of a region and what is known of its error.
+pub struct RegionMesh {
+    pub mesh: Mesh,
+    /// East, north, up of the mesh's zero, CRS units and metres.
+    pub origin: [f64; 3],
+    /// Certified error of the surface: the largest of the contributing patches over the measured posts, metres.
+    pub surface_error_m: f64,
+    /// surface_error_m + mesh.error_m.
+    pub error_m: f64,
+}
+
+/// Metres east and north of one CRS unit, at a place.
+pub fn metres_per_unit(unit: AxisUnit, at: [f64; 2]) -> [f64; 2] {
+    match unit {
+        AxisUnit::Metre(k) => [k, k],
+        // Lengths of a degree on the GRS 80 / WGS 84 ellipsoid (series to 1 cm).
+        AxisUnit::Degree => {
+            let f = at[1].to_radians();
+            let east = 111_412.84 * f.cos() - 93.5 * (3.0 * f).cos() + 0.118 * (5.0 * f).cos();
+            let north = 111_132.92 - 559.82 * (2.0 * f).cos() + 1.175 * (4.0 * f).cos();
+            [east, north]
+        }
+    }
+}
+
+struct GroundField<'a> {
+    ground: &'a Ground<'a>,
+    origin: [f64; 2],
+    scale: [f64; 2],
+    failed: Mutex<Option<Error>>,
+}
+
+impl Field for GroundField<'_> {
+    fn sample(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
+        out.clear();
+        let at: Vec<[f64; 2]> =
+            points.iter().map(|p| [0, 1].map(|k| self.origin[k] + p[k] / self.scale[k])).collect();
+        match self.ground.slopes(&at) {
+            Ok(found) => out.extend(found.into_iter().map(|e| {
+                e.map(|e| FieldSample { z: e.z, dzdx: e.gradient[0] / self.scale[0], dzdy: e.gradient[1] / self.scale[1] })
+            })),
+            Err(e) => {
+                out.extend(points.iter().map(|_| None));
+                self.failed.lock().expect("no thread panicked while holding the error").get_or_insert(e);
+            }
+        }
+    }
+}
+
+/// Triangulates a region within a total error: half goes to the surface, half to the mesh. Where the data are less
+/// accurate than their half, the surface has the error of the best data there, and the result says so.
+pub fn triangulate_region(
+    s: &Snapshot,
+    query: &Query,
+    progress: &dyn Fn(f64) -> bool,
+) -> Result<RegionMesh> {
+    let Tolerance::Constant(total) = query.tolerance else {
+        return Err(Error::unsupported(
+            "GLB",
+            "meshes need one tolerance for the whole region",
+            "give --error M; a camera's patches are listed by `terraquilt patches`",
+        ));
+    };
+    if !(total > 0.0 && total.is_finite()) {
+        return Err(Error::invalid("--error", format!("{total} m; a mesh needs a positive error")));
+    }
+    let ground = s.surface(&Query { tolerance: Tolerance::Constant(total / 2.0), ..query.clone() })?;
+    let b = ground.selection.region.bounds();
+    if !b[0].is_finite() || ground.selection.records.is_empty() {
+        return Err(Error::invalid("region", "holds no data; `terraquilt surveys` shows where the surveys are"));
+    }
+    let origin = [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0];
+    let scale = metres_per_unit(s.crs().unit, origin);
+    let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);
+    let (quads, posts, step) = outline_and_posts(s, &ground, b, &local, scale)?;
+    let clip = query.region.map(|_| {
+        let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
+        [lo[0], lo[1], hi[0], hi[1]]
+    });
+    let polygons = outline(&quads, clip)?;
+    let field = GroundField { ground: &ground, origin, scale, failed: Mutex::new(None) };
+    let options = MeshOptions::new(total / 2.0, step, posts.clone());
+    let mesh = triangulate(&field, &polygons, &options, progress);
+    if let Some(e) = field.failed.into_inner().unwrap_or(None) {
+        return Err(e);
+    }
+    let mut mesh = mesh?;
+    if mesh.triangles.is_empty() {
+        return Err(Error::invalid("region", "no cell with data lies in it; `terraquilt surveys` shows where the surveys are"));
+    }
+    // What the surface promises at its posts.
+    let here: Vec<[f64; 2]> = posts.iter().map(|p| [0, 1].map(|k| origin[k] + p[k] / scale[k])).collect();
+    let mut surface_error_m: f64 = 0.0;
+    for chunk in here.chunks(1 << 20) {
+        for e in ground.heights(chunk)?.into_iter().flatten().filter(|e| e.certified) {
+            surface_error_m = surface_error_m.max(e.error_m);
+        }
+    }
+    // Heights near zero keep their digits as 32-bit floats.
+    let (lo, hi) = mesh.positions.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p[2]), b.max(p[2])));
+    let up = ((lo + hi) / 2.0).round();
+    for p in &mut mesh.positions {
+        p[2] -= up;
+    }
+    let error_m = surface_error_m + mesh.error_m;
+    Ok(RegionMesh { mesh, origin: [origin[0], origin[1], up], surface_error_m, error_m })
+}
+
+type QuadsPostsStep = (Vec<[[f64; 2]; 4]>, Vec<[f64; 2]>, f64);
+
+/// The cells of the region as quads, their posts, and the finest step in metres.
+fn outline_and_posts(
+    s: &Snapshot,
+    ground: &Ground,
+    b: [f64; 4],
+    local: &dyn Fn([f64; 2]) -> [f64; 2],
+    scale: [f64; 2],
+) -> Result<QuadsPostsStep> {
+    let rules = Rules(&s.view);
+    let size = s.unit().size();
+    let (mut quads, mut posts, mut step) = (Vec::new(), Vec::new(), f64::INFINITY);
+    let lattice = |v: f64| (v / size).round().clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
+    let bounds = crate::base::lattice::Bounds {
+        min: crate::base::lattice::Point::new(lattice(b[0]), lattice(b[1])),
+        max: crate::base::lattice::Point::new(lattice(b[2]), lattice(b[3])),
+    };
+    let mut count = 0u64;
+    for n in rules.meeting(&bounds) {
+        let g = s.view.geometry_of(n);
+        let window = g.frame.cells_meeting(&bounds.quad());
+        let found = rects(&rules, n, Cells::CorePrime, &window)?;
+        count += found.iter().map(|r| ((r.width() + 1) * (r.height() + 1)) as u64).sum::<u64>();
+        if count > MESH_POSTS_MAX {
+            return Err(Error::limit("posts in the region of one mesh (give a smaller --bbox)", MESH_POSTS_MAX, count));
+        }
+        let at = |i: i64, j: i64| {
+            let p = g.frame.post(i, j);
+            local([p.x as f64 * size, p.y as f64 * size])
+        };
+        if !found.is_empty() {
+            step = step.min(g.steps[0] * scale[0].min(scale[1])).min(g.steps[1] * scale[0].min(scale[1]));
+        }
+        let mut seen = std::collections::BTreeSet::new();
+        for r in &found {
+            let q = g.frame.quad(r).0.map(|p| local([p.x as f64 * size, p.y as f64 * size]));
+            quads.push(q);
+            for j in r.j0..=r.j1 {
+                for i in r.i0..=r.i1 {
+                    // Posts on the sides of a rectangle may belong to its neighbour too.
+                    let side = i == r.i0 || i == r.i1 || j == r.j0 || j == r.j1;
+                    if side && !seen.insert((i, j)) {
+                        continue;
+                    }
+                    posts.push(at(i, j));
+                }
+            }
+        }
+    }
+    let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
+    posts.retain(|p| p[0] >= lo[0] && p[0] <= hi[0] && p[1] >= lo[1] && p[1] <= hi[1]);
+    let _ = ground;
+    Ok((quads, posts, if step.is_finite() { step } else { 1.0 }))
+}

@@ -1,0 +1,25 @@
+//! The one surface that is measured and drawn: patches blended by weights in LOD space
+//! (LOD-space specification, section 5.4), or by the paper's plain blend (equation 1, section 3.2).
+//!
+//! ```text
+//! weight(P, p, z) = W(p) v(p) up'(p, z) dn(z)        F(p, z) = sum weight f / sum weight      surface(p) = F(p, tolerance(p))
+//! ```
+//!
+//! - W: the hat of the paper with unit volume over the patch's domain, `w(x/dx) w(y/dy) / (dx dy)`;
+//! - v: 1 on core' of the patch's survey, 0 from one cell away ([`hood`]);
+//! - up, dn: fade in above bot, fade out above top, over a ratio of [`KAPPA`];
+//! - up': a floor patch stays in wherever no better survey is.
+//!
+//! Where a cell of core' holds p, every contributor has `bot <= max(tolerance, best)`: theorem T7.
+//! An additive correction per survey (section 15) has its place in [`Evaluation::correction_m`]; it is 0 so far.
+
+mod eval;
+mod hood;
+mod real;
+
+pub use eval::{Blend, Evaluation, Patch, Sheet, Source, SurveyField, Surface};
+pub use hood::{Hood, outside};
+pub use real::{Dual, Real};
+
+/// Ratio over which weights fade in and out along the error axis.
+pub const KAPPA: f64 = 1.1;
