@@ -3,7 +3,7 @@
 use crate::oracle::{self, OracleSurvey, PatchBox};
 use crate::support::{Grid, Random, Scratch, printed, random_grid, seeds};
 use std::collections::BTreeMap;
-use terraquilt::db::{Change, Policy, boxes, surveys};
+use terraquilt::db::{Change, Policy, TreeNode, boxes, surveys};
 
 /// What the oracle needs to know of a survey: its frame as printed, its samples as delivered.
 fn oracle_survey(row: &serde_json::Value, grid: &Grid) -> OracleSurvey {
@@ -40,12 +40,27 @@ fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Counts
     let found: Vec<PatchBox> = oracle::parse_boxes(&text).unwrap();
     let report = oracle::check(&worlds, &found);
     assert!(report.problems.is_empty(), "{:#?}", report.problems);
+    let expected = oracle::expected_tree(&found, ([-(1 << 60); 2], [1 << 60; 2]), 64, 32);
+    let stored = terraquilt::db::tree(&snapshot).unwrap().expect("a version has a tree");
+    same_tree(&expected, &stored);
     report.counts
+}
+
+/// The stored tree node by node against the one that the oracle builds from the definition.
+fn same_tree(expected: &oracle::Node, stored: &TreeNode) {
+    assert_eq!(expected.ids, stored.ids);
+    for (e, s) in expected.children.iter().zip(&stored.children) {
+        assert_eq!(e.is_some(), s.is_some(), "a child is there in one tree only");
+        if let (Some(e), Some(s)) = (e, s) {
+            same_tree(e, s);
+        }
+    }
 }
 
 #[test]
 fn tops_floors_kernels_and_errors_equal_the_oracle_over_random_histories() {
     let mut total = (0, 0);
+    let mut seen = [0usize; 6];
     for seed in seeds(12) {
         println!("seed {seed}");
         let mut r = Random::new(seed);
@@ -65,7 +80,10 @@ fn tops_floors_kernels_and_errors_equal_the_oracle_over_random_histories() {
                 continue;
             }
             if step >= 2 {
-                judge(&s, &present);
+                let c = judge(&s, &present);
+                for (n, k) in seen.iter_mut().zip([c.patches, c.dormant, c.empty, c.floors, c.finite_tops, c.replaced_cells]) {
+                    *n += k;
+                }
                 total.0 += 1;
             }
             s.verify();
@@ -80,6 +98,7 @@ fn tops_floors_kernels_and_errors_equal_the_oracle_over_random_histories() {
             total.1 += 1;
         }
     }
+    println!("patches, dormant, emptied, floors, finite tops, replaced cells: {seen:?}");
     println!("{} states equal the oracle, {} equal a fresh build", total.0, total.1);
 }
 

@@ -263,7 +263,7 @@ pub struct Heights {
     #[command(flatten)]
     source: Source,
     /// Points in the database's CRS
-    #[arg(value_name = "X,Y", allow_hyphen_values = true)]
+    #[arg(value_name = "X,Y")]
     at_points: Vec<String>,
     #[command(flatten)]
     tolerance: ToleranceArgs,

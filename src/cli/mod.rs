@@ -49,6 +49,11 @@ enum Command {
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    // A point such as -119.5,37.6 is a value, not an option: a leading space says so, and is trimmed later.
+    let args = args.into_iter().map(|a| match a.to_str() {
+        Some(t) if is_negative_point(t) => OsString::from(format!(" {t}")),
+        _ => a,
+    });
     let cli = match Cli::try_parse_from(args) {
         Ok(c) => c,
         Err(e) => {
@@ -76,6 +81,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Prune(c) => c.run(),
     };
     finish(done)
+}
+
+fn is_negative_point(text: &str) -> bool {
+    text.starts_with('-') && text.contains(',') && text.split(',').all(|n| n.trim().parse::<f64>().is_ok())
 }
 
 fn finish(done: Result<bool>) -> ExitCode {

@@ -249,3 +249,27 @@ fn overlap(s: &Snapshot) -> Result<(f64, u64)> {
 pub fn name_of(view: &View, n: SurveyNumber) -> String {
     view.entry(n).map_or_else(|_| format!("survey {}", n.0), |e| e.name.clone())
 }
+
+/// One node of the tree as a version holds it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TreeNode {
+    /// Ids of the records, in order.
+    pub ids: Vec<String>,
+    /// South-west, south-east, north-west, north-east.
+    pub children: [Option<Box<TreeNode>>; 4],
+}
+
+/// The whole tree of a version, for independent checking; `None` before the first commit.
+pub fn tree(s: &Snapshot) -> Result<Option<TreeNode>> {
+    fn read(view: &View, at: &crate::store::segment::PageRef) -> Result<TreeNode> {
+        let n = crate::store::quadtree::Node::read(&view.files, at)?;
+        let mut out = TreeNode { ids: n.records.iter().map(|r| r.id.to_string()).collect(), children: Default::default() };
+        for (slot, c) in out.children.iter_mut().zip(&n.children) {
+            if let Some(c) = c {
+                *slot = Some(Box::new(read(view, &c.page)?));
+            }
+        }
+        Ok(out)
+    }
+    s.view.tree.as_ref().map(|t| read(&s.view, &t.page)).transpose()
+}

@@ -27,6 +27,6 @@ pub use database::{Db, Options, Policy, PruneOutcome, Snapshot};
 pub use export::{RawTile, read_tile};
 pub use fingerprint::fingerprint;
 pub use head::{Declaration, Head, Tile};
-pub use listing::{BoxRow, Info, SurveyRow, boxes, info, surveys};
+pub use listing::{BoxRow, Info, SurveyRow, TreeNode, boxes, info, surveys, tree};
 pub use root::SurveyEntry;
 pub use triangles::{RegionMesh, metres_per_unit, triangulate_region};

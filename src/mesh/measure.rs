@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 
 use super::border::sample_along;
+use super::lattice::{Lattice, contains};
 use super::tin::{Site, Tin};
 use super::{Field, FieldSample};
 use crate::base::{Error, Result};
@@ -38,14 +39,6 @@ struct Found {
     error: f64,
     points: u64,
     sites: Vec<(f64, [f64; 2], f64)>,
-}
-
-/// The lattice: origin, distance of its points, and the grid that they are rounded to.
-pub(super) struct Lattice {
-    pub origin: [f64; 2],
-    pub step: f64,
-    pub unit: f64,
-    pub bound: f64,
 }
 
 /// Measures every facet that was not, and adds the points above the bound as sites. Returns how many.
@@ -105,9 +98,7 @@ fn jobs(tin: &Tin, lattice: &Lattice) -> Vec<Vec<Item>> {
             continue;
         }
         let at = facet.corners.map(|v| tin.position(v));
-        let low = at.iter().fold(f64::INFINITY, |m, p| m.min(p[1])) - lattice.origin[1];
-        let high = at.iter().fold(f64::NEG_INFINITY, |m, p| m.max(p[1])) - lattice.origin[1];
-        let (first, end) = ((low / h).ceil() as i64, (high / h).floor() as i64 + 1);
+        let (first, end) = lattice.rows(&at);
         let doubled =
             (at[1][0] - at[0][0]) * (at[2][1] - at[0][1]) - (at[2][0] - at[0][0]) * (at[1][1] - at[0][1]);
         let points = doubled / 2.0 / (h * h);
@@ -133,7 +124,8 @@ fn measure_job(tin: &Tin, field: &dyn Field, lattice: &Lattice, job: &[Item]) ->
     let (mut rim, mut inward) = (Vec::new(), Vec::new());
     for item in job {
         let start = (points.len(), rim.len());
-        lattice_points(tin, lattice, item, &mut points);
+        let at = tin.facets[item.facet as usize].corners.map(|v| tin.position(v));
+        lattice.points(&at, item.rows, &mut points);
         if item.edges {
             edge_points(tin, lattice, item.facet, &mut points, &mut rim, &mut inward);
         }
@@ -253,34 +245,6 @@ fn search(
     }
 }
 
-/// The lattice points in a facet's rows, rounded to the grid where that leaves them in the facet.
-fn lattice_points(tin: &Tin, lattice: &Lattice, item: &Item, out: &mut Vec<[f64; 2]>) {
-    let h = lattice.step / 4.0;
-    let at = tin.facets[item.facet as usize].corners.map(|v| tin.position(v));
-    for row in item.rows.0..item.rows.1 {
-        let y = lattice.origin[1] + row as f64 * h;
-        let (mut west, mut east) = (f64::INFINITY, f64::NEG_INFINITY);
-        for k in 0..3 {
-            let (a, b) = (at[k], at[(k + 1) % 3]);
-            if (a[1] <= y) != (b[1] <= y) || a[1] == y {
-                let x = if a[1] == b[1] { a[0] } else { a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]) };
-                west = west.min(x);
-                east = east.max(x);
-            }
-        }
-        if west > east {
-            continue;
-        }
-        let first = ((west - lattice.origin[0]) / h).ceil() as i64;
-        let last = ((east - lattice.origin[0]) / h).floor() as i64;
-        for column in first..=last {
-            let p = [lattice.origin[0] + column as f64 * h, y];
-            let snapped = p.map(|v| tin.snap(v));
-            out.push(if contains(&at, snapped, 0.0) { snapped } else { p });
-        }
-    }
-}
-
 /// The centroid, and the points along the edges: those of the border apart, with the direction inwards.
 /// An edge between two facets that are both measured now is left to the one with the smaller index.
 fn edge_points(
@@ -301,27 +265,12 @@ fn edge_points(
             continue;
         }
         let (a, b) = (at[k], at[(k + 1) % 3]);
-        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-        let length = dx.hypot(dy);
-        let count = (length / (lattice.step / 4.0) / 2.0).ceil().max(1.0) as usize * 2;
-        for i in 1..count {
-            let t = i as f64 / count as f64;
-            let p = [a[0] + t * dx, a[1] + t * dy];
-            if border {
-                rim.push(p);
-                inward.push([-dy / length, dx / length]);
-            } else {
-                out.push(p);
-            }
+        if border {
+            let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+            lattice.along(a, b, rim);
+            inward.resize(rim.len(), [-dy / dx.hypot(dy), dx / dx.hypot(dy)]);
+        } else {
+            lattice.along(a, b, out);
         }
     }
-}
-
-/// Whether a point is in the triangle or at most `slack` outside.
-fn contains(at: &[[f64; 3]; 3], p: [f64; 2], slack: f64) -> bool {
-    (0..3).all(|k| {
-        let (a, b) = (at[k], at[(k + 1) % 3]);
-        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-        dx * (p[1] - a[1]) - (p[0] - a[0]) * dy >= -slack * (dx.abs() + dy.abs())
-    })
 }

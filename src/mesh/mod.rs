@@ -16,11 +16,14 @@ mod border;
 mod check;
 mod delaunay;
 mod extract;
+mod lattice;
 mod measure;
 mod outline;
 #[cfg(test)]
 mod tests;
+mod thin;
 mod tin;
+mod weave;
 
 pub use check::{MeshStats, check};
 pub use delaunay::triangulate;

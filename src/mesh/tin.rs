@@ -11,14 +11,8 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use spade::handles::{
-    DirectedEdgeHandle, FixedDirectedEdgeHandle, FixedFaceHandle, FixedVertexHandle, InnerTag,
-};
-use spade::{
-    CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, PositionInTriangulation, Triangulation,
-};
-
-use crate::base::{Error, Result};
+use spade::handles::{FixedDirectedEdgeHandle, FixedVertexHandle};
+use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, PositionInTriangulation, Triangulation};
 
 /// A vertex in the plane.
 #[derive(Debug, Clone, Copy)]
@@ -59,16 +53,12 @@ pub(super) struct Facet {
     /// Largest error on the fine lattice, and how many points that was.
     pub fine_error: f64,
     pub fine_points: u64,
-    sites: Vec<u32>,
-    worst: u32,
-    worst_error: f64,
+    pub sites: Vec<u32>,
+    pub worst: u32,
+    pub worst_error: f64,
 }
 
-/// Points nearer to a long border edge than this (steps) split the edge instead: a vertex next to the edge
-/// would leave a sliver along all of it, which needs another vertex, and so on.
-const RIM_STEPS: f64 = 0.5;
-
-const NONE: u32 = u32::MAX;
+pub(super) const NONE: u32 = u32::MAX;
 
 /// z over the plane through three corners.
 #[derive(Debug, Clone, Copy)]
@@ -103,94 +93,40 @@ pub(super) struct Tin {
     pub cdt: Cdt,
     /// Height of each vertex; a 32-bit float.
     pub z: Vec<f64>,
+    /// The site that each vertex was inserted for, unless that is still watched.
+    pub site_of: Vec<u32>,
     pub facets: Vec<Facet>,
     pub sites: Vec<Site>,
     /// Border splits that the sites which were too near to a border asked for.
     pub splits: Vec<BorderSplit>,
     /// What a vertex lost by its height being rounded to 32 bits, at most.
     pub rounding: f64,
-    unit: f64,
-    near: f64,
-    rim: f64,
-    bound: f64,
+    pub(super) unit: f64,
+    pub(super) near: f64,
+    pub(super) rim: f64,
+    pub(super) bound: f64,
     /// By how much being inside grows when the edge (smaller index first) is crossed from right to left.
-    winding: HashMap<(u32, u32), i32>,
-    heap: BinaryHeap<(u64, Reverse<u32>, u32)>,
-    parked: Vec<u32>,
-    star: Vec<(u32, u32)>,
-    spokes: Vec<[f64; 2]>,
-    pool: Vec<u32>,
-    spare: Vec<Vec<u32>>,
+    pub(super) winding: HashMap<(u32, u32), i32>,
+    pub(super) heap: BinaryHeap<(u64, Reverse<u32>, u32)>,
+    pub(super) parked: Vec<u32>,
+    pub(super) star: Vec<(u32, u32)>,
+    pub(super) spokes: Vec<[f64; 2]>,
+    pub(super) pool: Vec<u32>,
+    pub(super) spare: Vec<Vec<u32>>,
 }
 
 impl Tin {
-    /// Triangulates the rings, given as vertices on the grid with their heights and directed edges that
-    /// have the region on their left.
-    pub fn new(
-        knots: Vec<[f64; 3]>,
-        edges: &[[u32; 2]],
-        (unit, step, bound): (f64, f64, f64),
-    ) -> Result<Tin> {
-        let vertices = knots.iter().map(|p| Knot { x: p[0], y: p[1] }).collect::<Vec<_>>();
-        let pairs = edges.iter().map(|e| [e[0] as usize, e[1] as usize]).collect();
-        let mut crossing = None;
-        let cdt = Cdt::try_bulk_load_cdt(vertices, pairs, |edge| crossing = Some(edge))
-            .map_err(|e| Error::invalid("outline", e))?;
-        if let Some([a, _]) = crossing {
-            let [x, y, _] = knots[a];
-            return Err(Error::invalid("outline", format!("it crosses itself near {x},{y}")));
-        }
-        if cdt.num_vertices() != knots.len() {
-            return Err(Error::invalid("outline", "vertices coincide"));
-        }
-        let (near, rim) = ((step * 1e-3).max(unit * 4.0), step * RIM_STEPS);
-        let mut tin = Tin {
-            cdt,
-            z: Vec::with_capacity(knots.len()),
-            facets: Vec::new(),
-            sites: Vec::new(),
-            splits: Vec::new(),
-            rounding: 0.0,
-            unit,
-            near,
-            rim,
-            bound,
-            winding: HashMap::new(),
-            heap: BinaryHeap::new(),
-            parked: Vec::new(),
-            star: Vec::new(),
-            spokes: Vec::new(),
-            pool: Vec::new(),
-            spare: Vec::new(),
-        };
-        knots.iter().for_each(|p| tin.push_height(p[2]));
-        for &[a, b] in edges {
-            tin.add_winding(a, b, 1);
-        }
-        tin.rebuild();
-        Ok(tin)
-    }
-
-    fn push_height(&mut self, z: f64) {
+    /// A vertex has come; `site` is the one that it was inserted for, or [`NONE`].
+    pub(super) fn push_height(&mut self, z: f64, site: u32) {
         let rounded = f64::from(z as f32);
         self.rounding = self.rounding.max((z - rounded).abs());
         self.z.push(rounded);
+        self.site_of.push(if self.is_exact(site) { site } else { NONE });
     }
 
-    /// Counts `amount` for the straight line from `a` to `b`, which may run through other vertices.
-    fn add_winding(&mut self, a: u32, b: u32, amount: i32) {
-        let direct = self.cdt.get_edge_from_neighbors(handle(a), handle(b)).map(|e| e.fix());
-        let mut edges = vec![];
-        match direct {
-            Some(edge) => edges.push(edge),
-            None => edges.extend(self.cdt.try_add_constraint(handle(a), handle(b))),
-        }
-        for edge in edges {
-            let edge = self.cdt.directed_edge(edge);
-            let (from, to) = (edge.from().index() as u32, edge.to().index() as u32);
-            let signed = if from < to { amount } else { -amount };
-            *self.winding.entry((from.min(to), from.max(to))).or_default() += signed;
-        }
+    /// Whether the site lies on the grid, so that a vertex comes to the very place.
+    fn is_exact(&self, site: u32) -> bool {
+        self.sites.get(site as usize).is_some_and(|s| s.x == self.snap(s.x) && s.y == self.snap(s.y))
     }
 
     pub fn vertex_count(&self) -> usize {
@@ -258,7 +194,7 @@ impl Tin {
             return;
         };
         debug_assert_eq!(v.index(), self.z.len());
-        self.push_height(z_snapped);
+        self.push_height(z_snapped, site);
         self.refill_star(v.index() as u32, site);
     }
 
@@ -346,10 +282,7 @@ impl Tin {
         if self.facets.len() < faces {
             self.facets.resize_with(faces, Facet::default);
         }
-        let keep_inserted = {
-            let s = &self.sites[inserted as usize];
-            s.x != centre[0] || s.y != centre[1]
-        };
+        let keep_inserted = !self.is_exact(inserted);
         for &(f, _) in &star {
             let sites = &mut self.facets[f as usize].sites;
             pool.extend(sites.iter().filter(|&&s| keep_inserted || s != inserted));
@@ -417,18 +350,33 @@ impl Tin {
         self.place((first..self.sites.len() as u32).collect())
     }
 
-    fn place(&mut self, pool: Vec<u32>) -> usize {
+    /// Puts sites into the facets that they lie in, walking from one to the next in strips.
+    pub(super) fn place(&mut self, mut pool: Vec<u32>) -> usize {
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for &s in &pool {
+            (low, high) = (low.min(self.sites[s as usize].y), high.max(self.sites[s as usize].y));
+        }
+        let strips = (pool.len() as f64).sqrt().ceil().max(1.0);
+        let per_metre = if high > low { strips / (high - low) } else { 0.0 };
+        pool.sort_by_cached_key(|&s| {
+            let Site { x, y, .. } = self.sites[s as usize];
+            let strip = ((y - low) * per_metre) as u32;
+            // Every other strip backwards; the bits of a number order like the number after this.
+            let bits = (if strip.is_multiple_of(2) { x } else { -x }).to_bits() as i64;
+            (strip, bits ^ (((bits >> 63) as u64) >> 1) as i64, s)
+        });
         let mut last = NONE;
+        let mut hint = 0;
         let mut touched = Vec::new();
         let mut placed = 0;
         for s in pool {
             let Site { x, y, .. } = self.sites[s as usize];
             if last == NONE || !self.contains(last, x, y) {
-                let hint = if last == NONE { 0 } else { self.facets[last as usize].corners[0] };
                 last = self.face_at(x, y, hint).unwrap_or(NONE);
             }
             if last != NONE {
                 placed += 1;
+                hint = self.facets[last as usize].corners[0];
                 self.facets[last as usize].sites.push(s);
                 if touched.last() != Some(&last) {
                     touched.push(last);
@@ -470,97 +418,6 @@ impl Tin {
         found.map(|f| f as u32)
     }
 
-    /// Splits border edges at the given points and heights, then finds out again what is inside. Returns
-    /// how many edges were split.
-    pub fn split_borders(&mut self, splits: &[(BorderSplit, f64)]) -> usize {
-        let mut done = 0;
-        for &(BorderSplit { edge, at }, z) in splits {
-            let (a, b) = (handle(edge.0), handle(edge.1));
-            let Some(border) = self.cdt.get_edge_from_neighbors(a, b) else { continue };
-            let (pa, pb) = (border.from().position(), border.to().position());
-            let p = Point2::new(at[0], at[1]);
-            let apart = |q: Point2<f64>| (q.x - p.x).hypot(q.y - p.y);
-            let occupied = matches!(self.cdt.locate_with_hint(p, a), PositionInTriangulation::OnVertex(_));
-            if !border.is_constraint_edge()
-                || occupied
-                || apart(pa) < self.near
-                || apart(pb) < self.near
-                || self.cdt.intersects_constraint(pa, p)
-                || self.cdt.intersects_constraint(p, pb)
-            {
-                continue;
-            }
-            let border = border.as_undirected().fix();
-            let Some(amount) = self.winding.remove(&edge) else { continue };
-            self.cdt.remove_constraint_edge(border);
-            let Ok(v) = self.cdt.insert_with_hint(Knot { x: at[0], y: at[1] }, a) else { continue };
-            self.push_height(z);
-            let v = v.index() as u32;
-            for (from, to) in [(edge.0, v), (v, edge.1)] {
-                self.cdt.try_add_constraint(handle(from), handle(to));
-                self.add_winding(from, to, amount);
-            }
-            done += 1;
-        }
-        self.rebuild();
-        done
-    }
-
-    /// Compares all facets with the faces, finds out which are inside the region by counting border edges
-    /// from the outside, and places the sites of changed facets and the parked ones again.
-    fn rebuild(&mut self) {
-        let faces = self.cdt.num_all_faces();
-        let mut depth: Vec<Option<i32>> = vec![None; faces];
-        depth[0] = Some(0);
-        let mut queue: Vec<FixedFaceHandle<InnerTag>> = Vec::new();
-        for edge in self.cdt.convex_hull() {
-            let (outer, edge) = if edge.is_outer_edge() { (edge, edge.rev()) } else { (edge.rev(), edge) };
-            debug_assert!(outer.is_outer_edge());
-            if let Some(face) = edge.face().as_inner()
-                && depth[face.index()].is_none()
-            {
-                depth[face.index()] = Some(self.crossing(edge));
-                queue.push(face.fix());
-            }
-        }
-        while let Some(face) = queue.pop() {
-            let here = depth[face.index()].unwrap_or(0);
-            for edge in self.cdt.face(face).adjacent_edges() {
-                if let Some(other) = edge.rev().face().as_inner()
-                    && depth[other.index()].is_none()
-                {
-                    depth[other.index()] = Some(here - self.crossing(edge));
-                    queue.push(other.fix());
-                }
-            }
-        }
-        let mut pool = std::mem::take(&mut self.parked);
-        if self.facets.len() < faces {
-            self.facets.resize_with(faces, Facet::default);
-        }
-        for face in self.cdt.inner_faces() {
-            let corners = face.vertices().map(|v| v.index() as u32);
-            let inside = depth[face.index()].unwrap_or(0) > 0;
-            let facet = &mut self.facets[face.index()];
-            if sorted(facet.corners) != sorted(corners) || facet.inside != inside {
-                pool.append(&mut facet.sites);
-                *facet = Facet { corners, inside, worst: NONE, ..Facet::default() };
-            }
-        }
-        pool.sort_unstable();
-        self.place(pool);
-    }
-
-    /// By how much the depth grows when one steps over the edge to its left.
-    fn crossing(&self, edge: DirectedEdgeHandle<Knot, (), CdtEdge<()>, ()>) -> i32 {
-        if !edge.is_constraint_edge() {
-            return 0;
-        }
-        let (from, to) = (edge.from().index() as u32, edge.to().index() as u32);
-        let amount = self.winding.get(&(from.min(to), from.max(to))).copied().unwrap_or(0);
-        if from < to { amount } else { -amount }
-    }
-
     /// The largest error at any site and on the fine lattice, and at how many points it was measured.
     pub fn error(&self) -> (f64, u64) {
         let (mut error, mut count) = (self.rounding, self.z.len() as u64);
@@ -580,11 +437,6 @@ impl Tin {
         }
         (error, count)
     }
-}
-
-fn sorted(mut corners: [u32; 3]) -> [u32; 3] {
-    corners.sort_unstable();
-    corners
 }
 
 pub(super) fn handle(v: u32) -> FixedVertexHandle {
