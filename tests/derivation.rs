@@ -28,8 +28,12 @@ fn oracle_survey(row: &serde_json::Value, grid: &Grid) -> OracleSurvey {
 fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Counts {
     let snapshot = s.db.snapshot(None).unwrap();
     let rows = serde_json::to_value(surveys(&snapshot).unwrap()).unwrap();
-    let worlds: Vec<OracleSurvey> =
-        rows.as_array().unwrap().iter().map(|r| oracle_survey(r, &present[r["name"].as_str().unwrap()])).collect();
+    let worlds: Vec<OracleSurvey> = rows
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|r| oracle_survey(r, &present[r["name"].as_str().unwrap()]))
+        .collect();
     let mut text = String::new();
     boxes(&snapshot, |b| {
         text.push_str(&serde_json::to_string(&b).unwrap());
@@ -81,7 +85,14 @@ fn tops_floors_kernels_and_errors_equal_the_oracle_over_random_histories() {
             }
             if step >= 2 {
                 let c = judge(&s, &present);
-                for (n, k) in seen.iter_mut().zip([c.patches, c.dormant, c.empty, c.floors, c.finite_tops, c.replaced_cells]) {
+                for (n, k) in seen.iter_mut().zip([
+                    c.patches,
+                    c.dormant,
+                    c.empty,
+                    c.floors,
+                    c.finite_tops,
+                    c.replaced_cells,
+                ]) {
                     *n += k;
                 }
                 total.0 += 1;
@@ -137,7 +148,9 @@ fn tiles_in_and_out_equal_the_whole() {
         let mut g = random_grid(&mut r, "tiled", 110);
         g.cols = g.cols.max(60);
         g.rows = g.rows.max(60);
-        g.z = (0..g.cols * g.rows).map(|k| if r.chance(0.003) { f32::NAN } else { ((k * 7) % 113) as f32 }).collect();
+        g.z = (0..g.cols * g.rows)
+            .map(|k| if r.chance(0.003) { f32::NAN } else { ((k * 7) % 113) as f32 })
+            .collect();
         let whole = Scratch::new(Policy::Accuracy);
         whole.ingest(&other);
         whole.ingest(&g);

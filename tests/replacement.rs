@@ -16,7 +16,17 @@ fn make(folder: &std::path::Path, count: usize) -> String {
     printed(&["init", &db, "--crs", "EPSG:26910", "--policy", "newest"]);
     for (file, name, accuracy, date) in &SURVEYS[..count] {
         let path = bundled("st_helens").join(file);
-        printed(&["ingest", &db, path.to_str().unwrap(), "--name", name, "--accuracy", accuracy, "--date", date]);
+        printed(&[
+            "ingest",
+            &db,
+            path.to_str().unwrap(),
+            "--name",
+            name,
+            "--accuracy",
+            accuracy,
+            "--date",
+            date,
+        ]);
     }
     db
 }

@@ -55,7 +55,9 @@ mod tests {
     #[test]
     fn only_days_that_exist() {
         assert_eq!(Date::parse("2004-02-29").unwrap().to_string(), "2004-02-29");
-        for bad in ["2003-02-29", "2004-13-01", "2004-1-1", "yesterday", "2004-00-10", "2004-01-32", "2004-01-01-01"] {
+        for bad in
+            ["2003-02-29", "2004-13-01", "2004-1-1", "yesterday", "2004-00-10", "2004-01-32", "2004-01-01-01"]
+        {
             assert!(Date::parse(bad).is_err(), "{bad}");
         }
     }

@@ -11,18 +11,10 @@ pub type Result<T> = std::result::Result<T, Error>;
 pub enum Error {
     /// The file is not what it claims to be. Restore it, or run `terraquilt verify`.
     #[error("{file}: damaged {place}: {reason}")]
-    Corrupt {
-        file: String,
-        place: String,
-        reason: String,
-    },
+    Corrupt { file: String, place: String, reason: String },
     /// Legal, but not read (yet). Convert it first.
     #[error("{file}: {what}; {remedy}")]
-    Unsupported {
-        file: String,
-        what: String,
-        remedy: String,
-    },
+    Unsupported { file: String, what: String, remedy: String },
     /// The caller asked for something impossible. Fix the call.
     #[error("{what}: {reason}")]
     Invalid { what: String, reason: String },

@@ -52,12 +52,7 @@ impl Bounds {
     }
 
     pub fn quad(&self) -> Quad {
-        Quad([
-            self.min,
-            Point::new(self.max.x, self.min.y),
-            self.max,
-            Point::new(self.min.x, self.max.y),
-        ])
+        Quad([self.min, Point::new(self.max.x, self.min.y), self.max, Point::new(self.min.x, self.max.y)])
     }
 
     pub fn union(&self, o: &Bounds) -> Bounds {
@@ -97,9 +92,8 @@ impl Quad {
         if !self.bounds().overlaps(&other.bounds()) {
             return false;
         }
-        let separated = |a: &Quad, b: &Quad| {
-            a.edges().iter().any(|&(p, q)| b.0.iter().all(|&v| cross(p, q, p, v) <= 0))
-        };
+        let separated =
+            |a: &Quad, b: &Quad| a.edges().iter().any(|&(p, q)| b.0.iter().all(|&v| cross(p, q, p, v) <= 0));
         !separated(self, other) && !separated(other, self)
     }
 
@@ -310,8 +304,10 @@ mod tests {
         // An integer frame: U = (97, 31), V = (-31, 97), far from the origin and with large steps.
         let base = Point::new(1 << 58, -(1 << 57));
         let s = 1i64 << 40;
-        let post = |i: i64, j: i64| Point::new(base.x + (97 * i - 31 * j) * s, base.y + (31 * i + 97 * j) * s);
-        let cell = |i: i64, j: i64, n: i64| Quad([post(i, j), post(i + n, j), post(i + n, j + n), post(i, j + n)]);
+        let post =
+            |i: i64, j: i64| Point::new(base.x + (97 * i - 31 * j) * s, base.y + (31 * i + 97 * j) * s);
+        let cell =
+            |i: i64, j: i64, n: i64| Quad([post(i, j), post(i + n, j), post(i + n, j + n), post(i, j + n)]);
         let parent = cell(0, 0, 2);
         let children = [cell(0, 0, 1), cell(1, 0, 1), cell(0, 1, 1), cell(1, 1, 1)];
         assert!(covered(&parent, &children));

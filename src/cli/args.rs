@@ -42,7 +42,10 @@ impl Region {
         let Some(text) = &self.bbox else { return Ok(None) };
         let b: [f64; 4] = numbers("--bbox", text)?;
         if b[0] >= b[2] || b[1] >= b[3] {
-            return Err(Error::invalid("--bbox", format!("'{text}' is empty; give xmin,ymin,xmax,ymax with min below max")));
+            return Err(Error::invalid(
+                "--bbox",
+                format!("'{text}' is empty; give xmin,ymin,xmax,ymax with min below max"),
+            ));
         }
         Ok(Some(b))
     }
@@ -58,7 +61,13 @@ pub enum SurfaceKind {
 #[derive(Args)]
 pub struct ToleranceArgs {
     /// The same error everywhere, metres
-    #[arg(long, value_name = "M", conflicts_with = "eye", required_unless_present = "eye", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "M",
+        conflicts_with = "eye",
+        required_unless_present = "eye",
+        allow_hyphen_values = true
+    )]
     pub error: Option<f64>,
     /// Camera: where the eye is (x, y in the CRS, z in metres)
     #[arg(long, value_name = "X,Y,Z", requires = "look_at", allow_hyphen_values = true)]

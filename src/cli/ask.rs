@@ -50,7 +50,18 @@ impl Surveys {
             })
             .collect();
         table(
-            &["name", "date", "accuracy m", "step", "turned", "posts", "tiles", "live", "dormant", "since version"],
+            &[
+                "name",
+                "date",
+                "accuracy m",
+                "step",
+                "turned",
+                "posts",
+                "tiles",
+                "live",
+                "dormant",
+                "since version",
+            ],
             &lines,
             &mut out,
         )?;
@@ -152,7 +163,9 @@ fn utc(seconds: i64) -> String {
 
 /// List the patches that a region needs within a tolerance
 #[derive(Args)]
-#[command(after_help = "Examples:\n  terraquilt patches hills --error 5\n  terraquilt patches hills --bbox 500000,4100000,501000,4101000 --error 1 --json\n  terraquilt patches hills --eye 500000,4100000,2500 --look-at 503000,4102000,1800\n  terraquilt patches hills --error 5 --since 3      # what changed since version 3")]
+#[command(
+    after_help = "Examples:\n  terraquilt patches hills --error 5\n  terraquilt patches hills --bbox 500000,4100000,501000,4101000 --error 1 --json\n  terraquilt patches hills --eye 500000,4100000,2500 --look-at 503000,4102000,1800\n  terraquilt patches hills --error 5 --since 3      # what changed since version 3"
+)]
 pub struct Patches {
     #[command(flatten)]
     source: Source,
@@ -194,7 +207,9 @@ impl Patches {
         }
         let rows: Vec<Vec<String>> = by
             .iter()
-            .map(|((n, l), (k, lo, hi))| vec![n.clone(), l.to_string(), count(*k), format!("{lo:.3} .. {hi:.3}")])
+            .map(|((n, l), (k, lo, hi))| {
+                vec![n.clone(), l.to_string(), count(*k), format!("{lo:.3} .. {hi:.3}")]
+            })
             .collect();
         table(&["survey", "level", "patches", "errors m"], &rows, &mut out)?;
         out.line(format!(
@@ -258,7 +273,9 @@ fn patch(s: &Snapshot, r: &Record) -> Result<Value> {
 
 /// Heights of the surface at points
 #[derive(Args)]
-#[command(after_help = "Examples:\n  terraquilt heights hills --error 0 562310.5,5116320\n  terraquilt heights hills --error 1 --points stakes.csv > heights.csv\n  terraquilt heights hills --error 0 562310.5,5116320 --explain")]
+#[command(
+    after_help = "Examples:\n  terraquilt heights hills --error 0 562310.5,5116320\n  terraquilt heights hills --error 1 --points stakes.csv > heights.csv\n  terraquilt heights hills --error 0 562310.5,5116320 --explain"
+)]
 pub struct Heights {
     #[command(flatten)]
     source: Source,
@@ -286,8 +303,14 @@ impl Heights {
             None => self.at_points.iter().map(|t| numbers("point", t)).collect::<Result<Vec<[f64; 2]>>>()?,
         };
         let tolerance = self.tolerance.get()?;
-        if let (crate::db::query::Tolerance::Camera(_), crate::height::crs::AxisUnit::Degree) = (&tolerance, s.crs().unit) {
-            return Err(Error::unsupported(&s.crs().code, "a camera needs metres, and this database is in degrees", "ask with --error M"));
+        if let (crate::db::query::Tolerance::Camera(_), crate::height::crs::AxisUnit::Degree) =
+            (&tolerance, s.crs().unit)
+        {
+            return Err(Error::unsupported(
+                &s.crs().code,
+                "a camera needs metres, and this database is in degrees",
+                "ask with --error M",
+            ));
         }
         let found = s.heights(&points, &tolerance, self.tolerance.blend())?;
         let mut out = Output::new();
@@ -309,7 +332,9 @@ impl Heights {
                 None => out.line(format!("{},{},,", p[0], p[1]))?,
             }
             if self.explain {
-                for x in sources(&s, &tolerance, self.tolerance.blend(), *p)?.as_array().unwrap_or(&Vec::new()) {
+                for x in
+                    sources(&s, &tolerance, self.tolerance.blend(), *p)?.as_array().unwrap_or(&Vec::new())
+                {
                     out.line(format!("# {} patch {} weight {}", x["survey"], x["patch"], x["weight"]))?;
                 }
             }
@@ -325,8 +350,10 @@ fn row(p: &[f64; 2], e: Option<&Evaluation>) -> Value {
     match e {
         Some(e) => json!({"x": p[0], "y": p[1], "z": e.z, "error_m": e.error_m, "accuracy_m": e.accuracy_m,
                           "certified": e.certified, "synthetic": false}),
-        None => json!({"x": p[0], "y": p[1], "z": null, "error_m": null, "accuracy_m": null, "certified": false,
-                       "synthetic": false}),
+        None => {
+            json!({"x": p[0], "y": p[1], "z": null, "error_m": null, "accuracy_m": null, "certified": false,
+                       "synthetic": false})
+        }
     }
 }
 
@@ -358,23 +385,33 @@ fn read_points(path: &PathBuf) -> Result<Vec<[f64; 2]>> {
             continue;
         }
         let cells: Vec<&str> = line.split([',', ';', '\t']).map(|c| c.trim().trim_matches('"')).collect();
-        let number = |k: usize| cells.get(columns[k]).and_then(|c| c.parse::<f64>().ok()).filter(|v| v.is_finite());
+        let number =
+            |k: usize| cells.get(columns[k]).and_then(|c| c.parse::<f64>().ok()).filter(|v| v.is_finite());
         match (number(0), number(1)) {
             (Some(x), Some(y)) => points.push([x, y]),
             _ if first => {
                 let find = |name: &str| cells.iter().position(|c| c.eq_ignore_ascii_case(name));
-                match (find("x").or(find("easting")).or(find("lon")), find("y").or(find("northing")).or(find("lat"))) {
+                match (
+                    find("x").or(find("easting")).or(find("lon")),
+                    find("y").or(find("northing")).or(find("lat")),
+                ) {
                     (Some(x), Some(y)) => columns = [x, y],
                     _ => {
                         return Err(Error::invalid(
                             path.display(),
-                            format!("line {}: '{line}' is neither two numbers nor a header with columns x and y", n + 1),
+                            format!(
+                                "line {}: '{line}' is neither two numbers nor a header with columns x and y",
+                                n + 1
+                            ),
                         ));
                     }
                 }
             }
             _ => {
-                return Err(Error::invalid(path.display(), format!("line {}: '{line}' has no numbers for x and y", n + 1)));
+                return Err(Error::invalid(
+                    path.display(),
+                    format!("line {}: '{line}' has no numbers for x and y", n + 1),
+                ));
             }
         }
         first = false;

@@ -25,7 +25,8 @@ impl InfoCommand {
             out.json(&i)?;
             return out.end();
         }
-        let unit = if i.crs == "EPSG:4326" || i.lattice_unit < 1e-12 { "degrees" } else { "units of the CRS" };
+        let unit =
+            if i.crs == "EPSG:4326" || i.lattice_unit < 1e-12 { "degrees" } else { "units of the CRS" };
         for (what, value) in [
             ("database", i.path.clone()),
             ("format", format!("{}, derivation {}", i.format_version, i.derivation_version)),
@@ -33,7 +34,10 @@ impl InfoCommand {
             ("policy", i.policy.to_string()),
             ("version", i.version.to_string()),
             ("surveys", format!("{}, {} tiles, {} valid posts", i.surveys, i.tiles, count(i.valid_posts))),
-            ("patches", format!("{}, {} live, {} dormant", count(i.patches), count(i.live), count(i.dormant))),
+            (
+                "patches",
+                format!("{}, {} live, {} dormant", count(i.patches), count(i.live), count(i.dormant)),
+            ),
             (
                 "tree",
                 format!(
@@ -43,7 +47,10 @@ impl InfoCommand {
                     i.nodes_per_patch
                 ),
             ),
-            ("overlap", format!("{:.2} on average, {} at most (tolerance 0, sampled)", i.overlap_mean, i.overlap_max)),
+            (
+                "overlap",
+                format!("{:.2} on average, {} at most (tolerance 0, sampled)", i.overlap_mean, i.overlap_max),
+            ),
             (
                 "disk",
                 format!(
@@ -85,7 +92,9 @@ impl Fingerprint {
 
 /// Check everything that can be checked; exit 1 and a list if anything is wrong
 #[derive(Args)]
-#[command(after_help = "Example:\n  terraquilt verify hills\nReads every byte and computes everything again: takes about as long as the ingests did.")]
+#[command(
+    after_help = "Example:\n  terraquilt verify hills\nReads every byte and computes everything again: takes about as long as the ingests did."
+)]
 pub struct Verify {
     #[command(flatten)]
     source: Source,
@@ -136,7 +145,10 @@ pub struct Prune {
 impl Prune {
     pub fn run(self) -> Result<bool> {
         if self.keep == Some(0) {
-            return Err(Error::invalid("--keep", "0 versions; the latest one always stays, so give at least 1"));
+            return Err(Error::invalid(
+                "--keep",
+                "0 versions; the latest one always stays, so give at least 1",
+            ));
         }
         let db = Db::open(&self.db)?;
         let (keep, before) = (self.keep, self.before);
@@ -147,7 +159,8 @@ impl Prune {
                 (None, None) => Vec::new(),
             }
         };
-        let o = db.prune(choose, &mut || message("another process is writing to this database; waiting for it"))?;
+        let o =
+            db.prune(choose, &mut || message("another process is writing to this database; waiting for it"))?;
         let mut out = Output::new();
         if self.json {
             out.json(&o)?;
@@ -155,7 +168,10 @@ impl Prune {
         }
         out.line(format!("forgot {} versions, gave back {}", o.pruned.len(), bytes(o.bytes_freed)))?;
         if !o.kept_for_readers.is_empty() {
-            out.line(format!("kept versions {:?}: somebody is reading them; prune again later", o.kept_for_readers))?;
+            out.line(format!(
+                "kept versions {:?}: somebody is reading them; prune again later",
+                o.kept_for_readers
+            ))?;
         }
         out.end()
     }

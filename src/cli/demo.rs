@@ -109,14 +109,28 @@ impl Demo {
             found.records.len(),
             found.nodes
         ))?;
-        let camera = Camera::new([562_900.0, 5_118_500.0, 2600.0], [562_650.0, 5_115_900.0, 2050.0], 45.0, [1920, 1080], 1.0, Some(15_000.0))?;
+        let camera = Camera::new(
+            [562_900.0, 5_118_500.0, 2600.0],
+            [562_650.0, 5_115_900.0, 2050.0],
+            45.0,
+            [1920, 1080],
+            1.0,
+            Some(15_000.0),
+        )?;
         let view = before.select(&Query { tolerance: Tolerance::Camera(camera), ..q.clone() })?;
-        out.line(format!("  a camera north of the crater, 1 pixel: {} patches, {} tree nodes read", view.records.len(), view.nodes))?;
+        out.line(format!(
+            "  a camera north of the crater, 1 pixel: {} patches, {} tree nodes read",
+            view.records.len(),
+            view.nodes
+        ))?;
         out.line(format!("  the height at {}, {} over time:", DOME[0], DOME[1]))?;
         for v in db.versions()? {
             let s = db.snapshot(Some(v.number))?;
             if let Some(e) = &s.heights(&[DOME], &Tolerance::Constant(0.0), Blend::Exact)?[0] {
-                out.line(format!("    version {}: {:8.2} m, error {} m   ({})", v.number, e.z, e.error_m, v.action))?;
+                out.line(format!(
+                    "    version {}: {:8.2} m, error {} m   ({})",
+                    v.number, e.z, e.error_m, v.action
+                ))?;
             }
         }
 
@@ -142,7 +156,10 @@ impl Demo {
         let raster = Raster::new(&now, None, None, 1400)?;
         let picture = dir.join("helens-2004.png");
         png(&now, &uniform(2.0), &raster, &picture)?;
-        out.line(format!("  {}   shaded relief at 2 m error; red: small patches, blue: large ones", picture.display()))?;
+        out.line(format!(
+            "  {}   shaded relief at 2 m error; red: small patches, blue: large ones",
+            picture.display()
+        ))?;
         let mesh = dir.join("dome-2004.glb");
         let m = glb(&now, &Query { region: Some(DOME_BOX), ..uniform(4.0) }, &mesh)?;
         out.line(format!(
@@ -154,7 +171,12 @@ impl Demo {
             m.mesh_error_m
         ))?;
         let info = db::info(&db, &now)?;
-        out.line(format!("  {}   the database: {}, {} versions", path.display(), bytes(info.bytes), db.versions()?.len()))?;
+        out.line(format!(
+            "  {}   the database: {}, {} versions",
+            path.display(),
+            bytes(info.bytes),
+            db.versions()?.len()
+        ))?;
 
         let p = path.display();
         out.line("\nTry next:")?;
@@ -163,7 +185,9 @@ impl Demo {
         out.line(format!("  terraquilt export {p} crater.tif --error 1 --step 5"))?;
         out.line(format!("  terraquilt verify {p}"))?;
         out.line("  and on your own grids:")?;
-        out.line("  terraquilt init mine --crs EPSG:32633 && terraquilt ingest mine FILE.tif --accuracy 0.5")?;
+        out.line(
+            "  terraquilt init mine --crs EPSG:32633 && terraquilt ingest mine FILE.tif --accuracy 0.5",
+        )?;
         out.end()
     }
 
@@ -209,7 +233,10 @@ fn prepare(dir: &Path) -> Result<()> {
         let marked = dir.join(MARK).exists();
         let empty = std::fs::read_dir(dir).map_err(io)?.next().is_none();
         if !marked && !empty {
-            return Err(Error::invalid(dir.display(), "is not empty and was not made by the demo; name another folder"));
+            return Err(Error::invalid(
+                dir.display(),
+                "is not empty and was not made by the demo; name another folder",
+            ));
         }
         for sub in ["helens", "helens-reversed", "surveys"] {
             if dir.join(sub).exists() {
@@ -218,5 +245,6 @@ fn prepare(dir: &Path) -> Result<()> {
         }
     }
     std::fs::create_dir_all(dir.join("surveys")).map_err(io)?;
-    std::fs::write(dir.join(MARK), "This folder may be deleted; `terraquilt demo` makes it again.\n").map_err(io)
+    std::fs::write(dir.join(MARK), "This folder may be deleted; `terraquilt demo` makes it again.\n")
+        .map_err(io)
 }

@@ -19,7 +19,9 @@ use std::sync::atomic::Ordering;
 
 /// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief
 #[derive(Args)]
-#[command(after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit")]
+#[command(
+    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
+)]
 pub struct Export {
     /// Directory of the database
     db: PathBuf,
@@ -60,13 +62,20 @@ impl Export {
     pub fn run(self) -> Result<bool> {
         let source = Source { db: self.db.clone(), at: self.at, json: self.json };
         let (_, s) = source.open()?;
-        let ending = self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let ending =
+            self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         if let Some(name) = &self.survey {
             if ending != "tif" && ending != "tiff" {
-                return Err(Error::invalid("--survey", "a survey's samples are written as .tif; name such a file"));
+                return Err(Error::invalid(
+                    "--survey",
+                    "a survey's samples are written as .tif; name such a file",
+                ));
             }
             let posts = survey(&s, name, self.tile.as_deref(), &self.out)?;
-            return self.told(&json!({"out": self.out, "posts": posts}), &format!("{} posts as delivered", count(posts)));
+            return self.told(
+                &json!({"out": self.out, "posts": posts}),
+                &format!("{} posts as delivered", count(posts)),
+            );
         }
         let query = self.tolerance.inner.query(&self.region)?;
         match ending.as_str() {
@@ -74,7 +83,11 @@ impl Export {
                 let m = glb(&s, &query, &self.out)?;
                 let text = format!(
                     "{} triangles; error {:.3} m (surface {:.3}, mesh {:.3} measured at {} points)",
-                    count(m.triangles), m.error_m, m.surface_error_m, m.mesh_error_m, count(m.measured_points)
+                    count(m.triangles),
+                    m.error_m,
+                    m.surface_error_m,
+                    m.mesh_error_m,
+                    count(m.measured_points)
                 );
                 if let crate::db::query::Tolerance::Constant(asked) = query.tolerance
                     && m.error_m > asked
@@ -122,7 +135,9 @@ impl Export {
                 .entries()
                 .map(|e| e.geometry.steps)
                 .min_by(|a, b| (a[0] * a[1]).total_cmp(&(b[0] * b[1])))
-                .ok_or_else(|| Error::invalid("region", "the database is empty; `terraquilt ingest` brings a survey"))?,
+                .ok_or_else(|| {
+                    Error::invalid("region", "the database is empty; `terraquilt ingest` brings a survey")
+                })?,
         };
         if found.iter().any(|v| *v <= 0.0) {
             return Err(Error::invalid("--step", format!("{found:?}; it must be positive")));
@@ -146,7 +161,8 @@ impl Export {
 pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     let name = path.file_name().ok_or_else(|| Error::invalid(path.display(), "names no file"))?;
     let temporary = path.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
-    let done = write(&temporary).and_then(|()| std::fs::rename(&temporary, path).map_err(|e| Error::io(path, e)));
+    let done =
+        write(&temporary).and_then(|()| std::fs::rename(&temporary, path).map_err(|e| Error::io(path, e)));
     if done.is_err() {
         let _ = std::fs::remove_file(&temporary);
     }
@@ -185,7 +201,10 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
     extras.insert("surface_error_m".into(), json!(r.surface_error_m));
     extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
     if s.crs().unit == crate::height::crs::AxisUnit::Degree {
-        extras.insert("projection".into(), json!("local: metres east and north of the origin, which is in degrees"));
+        extras.insert(
+            "projection".into(),
+            json!("local: metres east and north of the origin, which is in degrees"),
+        );
     }
     let mesh = GlbMesh {
         positions: &r.mesh.positions,
@@ -279,12 +298,17 @@ fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<u
             .tiles
             .iter()
             .position(|x| x.file == t || (t.len() >= 4 && x.id().starts_with(t)))
-            .ok_or_else(|| Error::missing(format!("tile '{t}' of survey '{name}'"), "see `terraquilt tiles`"))?,
+            .ok_or_else(|| {
+                Error::missing(format!("tile '{t}' of survey '{name}'"), "see `terraquilt tiles`")
+            })?,
         None if head.tiles.len() == 1 => 0,
         None => {
             return Err(Error::invalid(
                 "--tile",
-                format!("survey '{name}' has {} tiles; say which with --tile (see `terraquilt tiles`)", head.tiles.len()),
+                format!(
+                    "survey '{name}' has {} tiles; say which with --tile (see `terraquilt tiles`)",
+                    head.tiles.len()
+                ),
             ));
         }
     };

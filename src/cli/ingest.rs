@@ -140,7 +140,11 @@ impl Said {
                 if c.code != db.crs().code {
                     return Err(Error::unsupported(
                         "--crs",
-                        format!("{} is not the database's {}; reprojection is not there yet", c.code, db.crs().code),
+                        format!(
+                            "{} is not the database's {}; reprojection is not there yet",
+                            c.code,
+                            db.crs().code
+                        ),
                         format!("warp the files first: gdalwarp -t_srs {} IN.tif OUT.tif", db.crs().code),
                     ));
                 }
@@ -211,7 +215,9 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
 
 /// Bring one survey into the database: its files are its tiles
 #[derive(Args)]
-#[command(after_help = "Examples:\n  terraquilt ingest pit flight-07.tif --accuracy 0.1 --date 2026-03-07\n  terraquilt ingest hills n47/*.tif --name lidar-2025 --accuracy 0.2\n  terraquilt ingest hills late-tile.tif --into lidar-2025")]
+#[command(
+    after_help = "Examples:\n  terraquilt ingest pit flight-07.tif --accuracy 0.1 --date 2026-03-07\n  terraquilt ingest hills n47/*.tif --name lidar-2025 --accuracy 0.2\n  terraquilt ingest hills late-tile.tif --into lidar-2025"
+)]
 pub struct IngestFiles {
     /// Directory of the database
     db: PathBuf,
@@ -294,7 +300,9 @@ impl Set {
 
 /// Take surveys (or one tile) out: the terrain as if they had never come
 #[derive(Args)]
-#[command(after_help = "Example:\n  terraquilt remove pit flight-06\nThe bytes stay for --at until `terraquilt prune`.")]
+#[command(
+    after_help = "Example:\n  terraquilt remove pit flight-06\nThe bytes stay for --at until `terraquilt prune`."
+)]
 pub struct Remove {
     /// Directory of the database
     db: PathBuf,

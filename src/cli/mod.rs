@@ -20,7 +20,9 @@ use std::process::ExitCode;
 /// A living terrain database: overlapping elevation surveys in, one seamless surface with a certified error out.
 #[derive(Parser)]
 #[command(name = "terraquilt", version, max_term_width = 100)]
-#[command(after_help = "Example:\n  terraquilt init hills --crs EPSG:32610\n  terraquilt ingest hills lidar.tif --accuracy 0.3\n  terraquilt export hills hills.png --error 2\n  terraquilt demo        # the whole story on real surveys")]
+#[command(
+    after_help = "Example:\n  terraquilt init hills --crs EPSG:32610\n  terraquilt ingest hills lidar.tif --accuracy 0.3\n  terraquilt export hills hills.png --error 2\n  terraquilt demo        # the whole story on real surveys"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -78,7 +78,8 @@ impl Meter {
                 old.finish_and_clear();
             }
             let new = ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr());
-            let style = ProgressStyle::with_template("{msg:12} {bar:40} {percent:>3}%  {elapsed} gone, {eta} left");
+            let style =
+                ProgressStyle::with_template("{msg:12} {bar:40} {percent:>3}%  {elapsed} gone, {eta} left");
             if let Ok(style) = style {
                 new.set_style(style);
             }

@@ -15,10 +15,20 @@ pub struct Raster {
 
 impl Raster {
     /// Pixels of `step` CRS units; without a step, `side` pixels along the longer side.
-    pub fn new(s: &Snapshot, region: Option<[f64; 4]>, step: Option<[f64; 2]>, side: usize) -> Result<Raster> {
+    pub fn new(
+        s: &Snapshot,
+        region: Option<[f64; 4]>,
+        step: Option<[f64; 2]>,
+        side: usize,
+    ) -> Result<Raster> {
         let b = match region.or_else(|| s.bounds()) {
             Some(b) => b,
-            None => return Err(Error::invalid("region", "the database is empty; `terraquilt ingest` brings a survey")),
+            None => {
+                return Err(Error::invalid(
+                    "region",
+                    "the database is empty; `terraquilt ingest` brings a survey",
+                ));
+            }
         };
         let scale = metres_per_unit(s.crs().unit, [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]);
         let (w, h) = (b[2] - b[0], b[3] - b[1]);
@@ -28,7 +38,11 @@ impl Raster {
         });
         let (cols, rows) = ((w / step[0] - 1e-9).ceil().max(1.0), (h / step[1] - 1e-9).ceil().max(1.0));
         if cols * rows > limits::RASTER_POSTS_MAX as f64 {
-            return Err(Error::limit("pixels (give a smaller --bbox or a larger --step)", limits::RASTER_POSTS_MAX, (cols * rows) as u64));
+            return Err(Error::limit(
+                "pixels (give a smaller --bbox or a larger --step)",
+                limits::RASTER_POSTS_MAX,
+                (cols * rows) as u64,
+            ));
         }
         // Pixels keep their size; the box grows to the south and east by less than one.
         let bounds = [b[0], b[3] - rows * step[1], b[0] + cols * step[0], b[3]];
@@ -66,8 +80,10 @@ impl Raster {
         const BAND: usize = 64;
         for row0 in (0..self.rows).step_by(BAND) {
             let rows = BAND.min(self.rows - row0);
-            let points: Vec<[f64; 2]> =
-                (row0..row0 + rows).flat_map(|r| (0..self.cols).map(move |c| (c, r))).map(|(c, r)| self.center(c, r)).collect();
+            let points: Vec<[f64; 2]> = (row0..row0 + rows)
+                .flat_map(|r| (0..self.cols).map(move |c| (c, r)))
+                .map(|(c, r)| self.center(c, r))
+                .collect();
             let found = s.heights(&points, &query.tolerance, query.blend)?;
             let z: Vec<f32> = found
                 .iter()
@@ -88,8 +104,10 @@ impl Raster {
 
     /// log2 of the side in metres of the patch that weighs most at each pixel; NaN where there is none.
     pub fn patch_sizes(&self, s: &Snapshot, query: &Query) -> Result<Vec<f32>> {
-        let points: Vec<[f64; 2]> =
-            (0..self.rows).flat_map(|r| (0..self.cols).map(move |c| (c, r))).map(|(c, r)| self.center(c, r)).collect();
+        let points: Vec<[f64; 2]> = (0..self.rows)
+            .flat_map(|r| (0..self.cols).map(move |c| (c, r)))
+            .map(|(c, r)| self.center(c, r))
+            .collect();
         let b = self.bounds;
         let k = metres_per_unit(s.crs().unit, [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]);
         Ok(s.dominant(&points, &query.tolerance, query.blend)?

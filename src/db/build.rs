@@ -49,7 +49,12 @@ pub struct Input<'a> {
 }
 
 /// Builds the patch table of a survey. Levels are appended to `out`; patch pages are returned.
-pub fn build(input: Input, base: &crate::store::segment::Files, out: &mut SegmentWriter, progress: &Progress) -> Result<Built> {
+pub fn build(
+    input: Input,
+    base: &crate::store::segment::Files,
+    out: &mut SegmentWriter,
+    progress: &Progress,
+) -> Result<Built> {
     let mut b = Builder { input, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
     b.core(base, out)?;
     let core = b.core_rect()?;
@@ -366,11 +371,9 @@ impl Builder<'_> {
 
     fn finish(mut self, level_max: u8, core: CellRect, out: &mut SegmentWriter) -> Result<Built> {
         // Levels above the new top go.
-        let gone: Vec<PageAddress> = self
-            .input
-            .before
-            .as_ref()
-            .map_or(Vec::new(), |b| b.head.pages.iter().map(|(a, _)| *a).filter(|a| a.level > level_max).collect());
+        let gone: Vec<PageAddress> = self.input.before.as_ref().map_or(Vec::new(), |b| {
+            b.head.pages.iter().map(|(a, _)| *a).filter(|a| a.level > level_max).collect()
+        });
         for at in gone {
             self.pages.insert(at, PatchPage::default());
         }
@@ -387,14 +390,17 @@ impl Builder<'_> {
             }
             for k in 0..page.patches.len() {
                 let (was, is) = (old.as_ref().and_then(|o| o.patches[k]), page.patches[k]);
-                let block_changed = at.level == 0 && old.as_ref().is_some_and(|o| o.block(k) != page.block(k));
+                let block_changed =
+                    at.level == 0 && old.as_ref().is_some_and(|o| o.block(k) != page.block(k));
                 patches = patches + u64::from(is.is_some()) - u64::from(was.is_some());
                 if was != is || block_changed {
                     self.changed.push((at.place(k), was, is));
                 }
             }
             if let Some(o) = &old {
-                dead.extend(o.blocks.iter().zip(&page.blocks).filter(|(a, b)| a != b).filter_map(|(a, _)| *a));
+                dead.extend(
+                    o.blocks.iter().zip(&page.blocks).filter(|(a, b)| a != b).filter_map(|(a, _)| *a),
+                );
             }
             dead.extend(list.remove(&at));
             if page.is_empty() {
@@ -505,7 +511,8 @@ fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Res
         return Ok(None);
     }
     let blocks = blocks_of(&window);
-    let some = (blocks.j0..blocks.j1).any(|bj| (blocks.i0..blocks.i1).any(|bi| reader.valid_at_most(bi, bj) > 0));
+    let some =
+        (blocks.j0..blocks.j1).any(|bj| (blocks.i0..blocks.i1).any(|bi| reader.valid_at_most(bi, bj) > 0));
     if !some {
         return Ok(None);
     }
@@ -526,7 +533,12 @@ fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Res
 }
 
 /// Largest error of every wanted place of every level above 0: one pass over the posts, bands in parallel.
-fn errors(reader: &SampleReader, ranges: &[CellRect], all: &CellRect, progress: &Progress) -> Result<Vec<Vec<f64>>> {
+fn errors(
+    reader: &SampleReader,
+    ranges: &[CellRect],
+    all: &CellRect,
+    progress: &Progress,
+) -> Result<Vec<Vec<f64>>> {
     let totals: Vec<Mutex<Vec<f64>>> =
         ranges.iter().map(|r| Mutex::new(vec![0.0; (r.width() * r.height()) as usize])).collect();
     if ranges.len() < 2 {
@@ -534,69 +546,79 @@ fn errors(reader: &SampleReader, ranges: &[CellRect], all: &CellRect, progress: 
     }
     let rows = blocks_of(all);
     let done = std::sync::atomic::AtomicU64::new(0);
-    (rows.j0..rows.j1).collect::<Vec<i64>>().into_par_iter().with_max_len(1).try_for_each(|bj| -> Result<()> {
-        let (j0, j1) = ((bj * BLOCK).max(all.j0), ((bj + 1) * BLOCK).min(all.j1));
-        // Per level: the wanted places that this band touches, and their columns of posts.
-        let mut gather: Vec<(Residuals, CellRect)> = Vec::new();
-        let mut cols = CellRect::new(0, 0, 0, 0);
-        for (level, range) in ranges.iter().enumerate().skip(1) {
-            let level = level as u8;
-            let touched = places_touching_posts(level, i64::MIN / 4, j0, i64::MAX / 4, j1 - 1);
-            let places = CellRect::new(range.i0, range.j0.max(touched.j0), range.i1, range.j1.min(touched.j1));
-            if places.is_empty() {
-                continue;
-            }
-            let lo = Place::new(level, places.i0, 0).domain().i0.max(all.i0);
-            let hi = (Place::new(level, places.i1 - 1, 0).domain().i1 + 1).min(all.i1);
-            if lo >= hi {
-                continue;
-            }
-            cols = cols.union(&CellRect::new(lo, j0, hi, j1));
-            gather.push((Residuals::new(level, places, lo, (hi - lo) as usize), CellRect::new(lo, 0, hi, 1)));
-        }
-        if gather.is_empty() {
-            return Ok(());
-        }
-        progress.check()?;
-        let posts = reader.posts(&CellRect::new(cols.i0, j0, cols.i1, j1))?;
-        let width = cols.width() as usize;
-        for (g, own) in &mut gather {
-            let level = g.level();
-            let (v0, vn) = g.vertices();
-            let (mut below, mut above) = (vec![0.0; vn], vec![0.0; vn]);
-            let mut at = i64::MIN;
-            for j in j0..j1 {
-                if !g.wants(j) {
+    (rows.j0..rows.j1).collect::<Vec<i64>>().into_par_iter().with_max_len(1).try_for_each(
+        |bj| -> Result<()> {
+            let (j0, j1) = ((bj * BLOCK).max(all.j0), ((bj + 1) * BLOCK).min(all.j1));
+            // Per level: the wanted places that this band touches, and their columns of posts.
+            let mut gather: Vec<(Residuals, CellRect)> = Vec::new();
+            let mut cols = CellRect::new(0, 0, 0, 0);
+            for (level, range) in ranges.iter().enumerate().skip(1) {
+                let level = level as u8;
+                let touched = places_touching_posts(level, i64::MIN / 4, j0, i64::MAX / 4, j1 - 1);
+                let places =
+                    CellRect::new(range.i0, range.j0.max(touched.j0), range.i1, range.j1.min(touched.j1));
+                if places.is_empty() {
                     continue;
                 }
-                let v = j >> level;
-                if v != at {
-                    if v == at.wrapping_add(1) {
-                        std::mem::swap(&mut below, &mut above);
-                    } else {
-                        reader.line(level, v0, v, &mut below)?;
-                    }
-                    reader.line(level, v0, v + 1, &mut above)?;
-                    at = v;
+                let lo = Place::new(level, places.i0, 0).domain().i0.max(all.i0);
+                let hi = (Place::new(level, places.i1 - 1, 0).domain().i1 + 1).min(all.i1);
+                if lo >= hi {
+                    continue;
                 }
-                let row = &posts[(j - j0) as usize * width..][..width];
-                let from = (own.i0 - cols.i0) as usize;
-                g.row(j, &row[from..from + own.width() as usize], &below, &above);
+                cols = cols.union(&CellRect::new(lo, j0, hi, j1));
+                gather.push((
+                    Residuals::new(level, places, lo, (hi - lo) as usize),
+                    CellRect::new(lo, 0, hi, 1),
+                ));
             }
-        }
-        for (g, _) in gather {
-            let (level, places) = (g.level() as usize, g.places());
-            let found = g.finish();
-            let range = &ranges[level];
-            let mut total = totals[level].lock().expect("no thread panicked while holding the errors");
-            for (k, d) in found.into_iter().enumerate() {
-                let (pi, pj) = (places.i0 + k as i64 % places.width(), places.j0 + k as i64 / places.width());
-                let t = &mut total[((pj - range.j0) * range.width() + pi - range.i0) as usize];
-                *t = t.max(d);
+            if gather.is_empty() {
+                return Ok(());
             }
-        }
-        let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-        progress.step("errors", n as f64 / rows.height() as f64)
-    })?;
-    Ok(totals.into_iter().map(|m| m.into_inner().expect("no thread panicked while holding the errors")).collect())
+            progress.check()?;
+            let posts = reader.posts(&CellRect::new(cols.i0, j0, cols.i1, j1))?;
+            let width = cols.width() as usize;
+            for (g, own) in &mut gather {
+                let level = g.level();
+                let (v0, vn) = g.vertices();
+                let (mut below, mut above) = (vec![0.0; vn], vec![0.0; vn]);
+                let mut at = i64::MIN;
+                for j in j0..j1 {
+                    if !g.wants(j) {
+                        continue;
+                    }
+                    let v = j >> level;
+                    if v != at {
+                        if v == at.wrapping_add(1) {
+                            std::mem::swap(&mut below, &mut above);
+                        } else {
+                            reader.line(level, v0, v, &mut below)?;
+                        }
+                        reader.line(level, v0, v + 1, &mut above)?;
+                        at = v;
+                    }
+                    let row = &posts[(j - j0) as usize * width..][..width];
+                    let from = (own.i0 - cols.i0) as usize;
+                    g.row(j, &row[from..from + own.width() as usize], &below, &above);
+                }
+            }
+            for (g, _) in gather {
+                let (level, places) = (g.level() as usize, g.places());
+                let found = g.finish();
+                let range = &ranges[level];
+                let mut total = totals[level].lock().expect("no thread panicked while holding the errors");
+                for (k, d) in found.into_iter().enumerate() {
+                    let (pi, pj) =
+                        (places.i0 + k as i64 % places.width(), places.j0 + k as i64 / places.width());
+                    let t = &mut total[((pj - range.j0) * range.width() + pi - range.i0) as usize];
+                    *t = t.max(d);
+                }
+            }
+            let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            progress.step("errors", n as f64 / rows.height() as f64)
+        },
+    )?;
+    Ok(totals
+        .into_iter()
+        .map(|m| m.into_inner().expect("no thread panicked while holding the errors"))
+        .collect())
 }

@@ -59,9 +59,19 @@ pub struct Ingest {
 pub enum Change {
     Ingest(Ingest),
     /// Tiles wholly inside the new files' rectangles leave, and the files come.
-    Replace { survey: String, ingest: Ingest },
-    Remove { surveys: Vec<String>, tile: Option<String> },
-    Set { survey: String, date: Option<Date>, precedence: Option<i64> },
+    Replace {
+        survey: String,
+        ingest: Ingest,
+    },
+    Remove {
+        surveys: Vec<String>,
+        tile: Option<String>,
+    },
+    Set {
+        survey: String,
+        date: Option<Date>,
+        precedence: Option<i64>,
+    },
 }
 
 /// What a commit did.
@@ -109,10 +119,17 @@ impl Db {
         }
         let mut outcome = match change {
             Change::Ingest(i) => writing.ingest(self, i, None, operation, dry_run, progress)?,
-            Change::Replace { survey, ingest } => {
-                writing.ingest(self, Ingest { into: Some(survey.clone()), ..ingest }, Some(()), operation, dry_run, progress)?
+            Change::Replace { survey, ingest } => writing.ingest(
+                self,
+                Ingest { into: Some(survey.clone()), ..ingest },
+                Some(()),
+                operation,
+                dry_run,
+                progress,
+            )?,
+            Change::Remove { surveys, tile } => {
+                writing.remove(self, &surveys, tile, operation, dry_run, progress)?
             }
-            Change::Remove { surveys, tile } => writing.remove(self, &surveys, tile, operation, dry_run, progress)?,
             Change::Set { survey, date, precedence } => {
                 writing.set(self, &survey, date, precedence, operation, dry_run, progress)?
             }
@@ -149,7 +166,12 @@ impl Writing {
         dry_run: bool,
         progress: &Progress,
     ) -> Result<Outcome> {
-        let first = request.sources.first().ok_or_else(|| Error::invalid("ingest", "no file was given"))?.info().clone();
+        let first = request
+            .sources
+            .first()
+            .ok_or_else(|| Error::invalid("ingest", "no file was given"))?
+            .info()
+            .clone();
         let mut warnings: Vec<String> = Vec::new();
         for s in &request.sources {
             check_source(s.info(), db, request.assume_crs)?;
@@ -165,17 +187,32 @@ impl Writing {
             None => declare(db, &first, &request)?,
         };
         if request.name.is_none() && entry.is_none() && request.sources.len() > 1 {
-            warnings.push(format!("{} files make one survey, named '{}'; --name names it", request.sources.len(), declaration.name));
-        }
-        let existing = self.view.entries().values().find(|e| entry.is_none() && e.name == declaration.name).cloned();
-        if db.policy() == Policy::Newest && entry.is_none() && request.date.is_none() && request.precedence.is_none() {
-            return Err(Error::invalid(
-                "date",
-                format!("policy 'newest' ranks surveys by date, and '{}' has none; give --date YYYY-MM-DD (or --precedence N)", declaration.name),
+            warnings.push(format!(
+                "{} files make one survey, named '{}'; --name names it",
+                request.sources.len(),
+                declaration.name
             ));
         }
-        let needed: u64 =
-            request.sources.iter().map(|s| s.info().cols * s.info().rows * s.info().sample_type.bytes() as u64).sum::<u64>();
+        let existing =
+            self.view.entries().values().find(|e| entry.is_none() && e.name == declaration.name).cloned();
+        if db.policy() == Policy::Newest
+            && entry.is_none()
+            && request.date.is_none()
+            && request.precedence.is_none()
+        {
+            return Err(Error::invalid(
+                "date",
+                format!(
+                    "policy 'newest' ranks surveys by date, and '{}' has none; give --date YYYY-MM-DD (or --precedence N)",
+                    declaration.name
+                ),
+            ));
+        }
+        let needed: u64 = request
+            .sources
+            .iter()
+            .map(|s| s.info().cols * s.info().rows * s.info().sample_type.bytes() as u64)
+            .sum::<u64>();
         self.need_space(db, needed + needed / 2 + (4 << 20))?;
 
         let segment_number = self.next_file();
@@ -192,8 +229,12 @@ impl Writing {
                     &info.file,
                     format!(
                         "samples are {} (scale {}, offset {}), the survey's are {} (scale {}, offset {}); ingest it as a survey of its own",
-                        info.sample_type.name(), info.scale * request.vertical_unit_m, info.offset * request.vertical_unit_m,
-                        declaration.sample_type.name(), declaration.scale, declaration.offset
+                        info.sample_type.name(),
+                        info.scale * request.vertical_unit_m,
+                        info.offset * request.vertical_unit_m,
+                        declaration.sample_type.name(),
+                        declaration.scale,
+                        declaration.offset
                     ),
                 ));
             }
@@ -276,7 +317,17 @@ impl Writing {
         };
         let retiled = Retiled { survey, before, declaration, tiles: kept, dirty, dead, segment };
         let attributes = (date, precedence, since);
-        let mut outcome = self.commit(db, Some((retiled, attributes)), &[], &[], action, operation, dry_run, warnings, progress)?;
+        let mut outcome = self.commit(
+            db,
+            Some((retiled, attributes)),
+            &[],
+            &[],
+            action,
+            operation,
+            dry_run,
+            warnings,
+            progress,
+        )?;
         outcome.posts = posts;
         outcome.voids = voids;
         Ok(outcome)
@@ -311,7 +362,13 @@ impl Writing {
     }
 
     /// Posts at which a tile differs from tiles that overlap it.
-    fn unequal(&self, declaration: &Declaration, segment: &SegmentWriter, t: &Tile, over: &[&Tile]) -> Result<u64> {
+    fn unequal(
+        &self,
+        declaration: &Declaration,
+        segment: &SegmentWriter,
+        t: &Tile,
+        over: &[&Tile],
+    ) -> Result<u64> {
         let read = |at: &PageRef, pages: &dyn Pages| Directory::decode(&pages.page(at)?, &file_name(at.file));
         let new = read(&t.directory, segment)?;
         let w = declaration.sample_type.bytes();
@@ -380,7 +437,8 @@ impl Writing {
             };
             let e = self.find(name)?.clone();
             let head = self.view.head(e.number)?.clone();
-            let found: Vec<&Tile> = head.tiles.iter().filter(|t| t.id().starts_with(&tile) || t.file == tile).collect();
+            let found: Vec<&Tile> =
+                head.tiles.iter().filter(|t| t.id().starts_with(&tile) || t.file == tile).collect();
             let [t] = found.as_slice() else {
                 return Err(Error::missing(
                     format!("tile '{tile}' of survey '{}' ({} match)", e.name, found.len()),
@@ -402,7 +460,17 @@ impl Writing {
                 };
                 let action = format!("remove tile '{}' of '{}'", t.file, e.name);
                 let attributes = (e.date, e.precedence, e.since);
-                return self.commit(db, Some((retiled, attributes)), &[], &[], action, operation, dry_run, Vec::new(), progress);
+                return self.commit(
+                    db,
+                    Some((retiled, attributes)),
+                    &[],
+                    &[],
+                    action,
+                    operation,
+                    dry_run,
+                    Vec::new(),
+                    progress,
+                );
             }
         }
         let mut gone = Vec::new();
@@ -439,7 +507,10 @@ impl Writing {
                 live: e.live,
                 dormant: e.dormant,
                 patches: e.live + e.dormant,
-                warnings: vec![format!("survey '{}' has these attributes already; nothing was changed", e.name)],
+                warnings: vec![format!(
+                    "survey '{}' has these attributes already; nothing was changed",
+                    e.name
+                )],
                 ..Outcome::default()
             });
         }
@@ -505,7 +576,8 @@ impl Writing {
                 cache: &cache,
                 stamp: 0,
             };
-            let Built { head, pages, changed, dead: built_dead } = build(input, &view.files, &mut segment, progress)?;
+            let Built { head, pages, changed, dead: built_dead } =
+                build(input, &view.files, &mut segment, progress)?;
             let precedence_rank = db.policy().precedence(date, precedence);
             let geometry = head.geometry(precedence_rank);
             check_world(&geometry, &head.declaration.name)?;
@@ -654,7 +726,10 @@ pub fn find_survey<'v>(view: &'v View, name: &str) -> Result<&'v SurveyEntry> {
         all.values().filter(|e| name.len() >= 4 && super::head::hex(&e.id).starts_with(name)).collect();
     match by_id.as_slice() {
         [e] => Ok(e),
-        _ => Err(Error::missing(format!("survey '{name}'"), "`terraquilt surveys DB` lists what is in the database")),
+        _ => Err(Error::missing(
+            format!("survey '{name}'"),
+            "`terraquilt surveys DB` lists what is in the database",
+        )),
     }
 }
 
@@ -666,7 +741,10 @@ fn check_source(info: &SourceInfo, db: &Db, assume_crs: bool) -> Result<()> {
         ));
     }
     if info.cols < 4 || info.rows < 4 {
-        return Err(Error::invalid(&info.file, format!("{} x {} posts; at least 4 x 4 are needed", info.cols, info.rows)));
+        return Err(Error::invalid(
+            &info.file,
+            format!("{} x {} posts; at least 4 x 4 are needed", info.cols, info.rows),
+        ));
     }
     let here = db.crs();
     match &info.crs {
@@ -675,11 +753,17 @@ fn check_source(info: &SourceInfo, db: &Db, assume_crs: bool) -> Result<()> {
         Some(c) => Err(Error::unsupported(
             &info.file,
             format!("is in {}, the database in {}; reprojection is not there yet", c.code, here.code),
-            format!("warp it first: gdalwarp -t_srs {} IN.tif OUT.tif, or make a database with --crs {}", here.code, c.code),
+            format!(
+                "warp it first: gdalwarp -t_srs {} IN.tif OUT.tif, or make a database with --crs {}",
+                here.code, c.code
+            ),
         )),
         None => Err(Error::invalid(
             &info.file,
-            format!("does not say its CRS by an EPSG code; if it is {}, say so with --crs {}", here.code, here.code),
+            format!(
+                "does not say its CRS by an EPSG code; if it is {}, say so with --crs {}",
+                here.code, here.code
+            ),
         )),
     }
 }
@@ -702,15 +786,23 @@ fn declare(db: &Db, first: &SourceInfo, request: &Ingest) -> Result<Declaration>
         (None, None) => {
             return Err(Error::invalid(
                 "accuracy",
-                format!("{} does not say how accurate its heights are; give --accuracy METRES (the largest error you trust it not to exceed)", first.file),
+                format!(
+                    "{} does not say how accurate its heights are; give --accuracy METRES (the largest error you trust it not to exceed)",
+                    first.file
+                ),
             ));
         }
     };
     if !(accuracy_m >= 0.0 && accuracy_m <= 1e6) {
-        return Err(Error::invalid("--accuracy", format!("{accuracy_m} m; it must be between 0 and 1000000")));
+        return Err(Error::invalid(
+            "--accuracy",
+            format!("{accuracy_m} m; it must be between 0 and 1000000"),
+        ));
     }
     let name = request.name.clone().unwrap_or_else(|| {
-        std::path::Path::new(&first.file).file_stem().map_or_else(|| first.file.clone(), |s| s.to_string_lossy().into_owned())
+        std::path::Path::new(&first.file)
+            .file_stem()
+            .map_or_else(|| first.file.clone(), |s| s.to_string_lossy().into_owned())
     });
     if name.is_empty() || name.len() > limits::TEXT_BYTES_MAX / 4 {
         return Err(Error::invalid("--name", format!("'{name}' is empty or too long")));
@@ -735,7 +827,10 @@ fn agree(d: &Declaration, first: &SourceInfo, request: &Ingest) -> Result<()> {
     {
         return Err(Error::invalid(
             "--accuracy",
-            format!("{a} m, survey '{}' declares {} m; a declaration never changes: leave it out, or ingest {} as a survey of its own", d.name, d.accuracy_m, first.file),
+            format!(
+                "{a} m, survey '{}' declares {} m; a declaration never changes: leave it out, or ingest {} as a survey of its own",
+                d.name, d.accuracy_m, first.file
+            ),
         ));
     }
     Ok(())
@@ -752,12 +847,15 @@ fn covered_tiles(old: &[Tile], new: &[Tile]) -> Result<(Vec<Tile>, Vec<Tile>)> {
         if rest.is_empty() {
             leave.push(t.clone());
         } else if new.iter().any(|n| n.posts.overlaps(&t.posts)) {
-            let r: Vec<String> = new.iter().filter(|n| n.posts.overlaps(&t.posts)).map(|n| show(&n.posts)).collect();
+            let r: Vec<String> =
+                new.iter().filter(|n| n.posts.overlaps(&t.posts)).map(|n| show(&n.posts)).collect();
             return Err(Error::invalid(
                 "replace",
                 format!(
                     "tile '{}' (posts {}) is only partly covered by the new files (posts {}); deliver the whole tile, or add tiles with `ingest --into`",
-                    t.file, show(&t.posts), r.join(", ")
+                    t.file,
+                    show(&t.posts),
+                    r.join(", ")
                 ),
             ));
         } else {
@@ -793,15 +891,23 @@ fn coarser(entries: &BTreeMap<SurveyNumber, SurveyEntry>, new: SurveyNumber) -> 
     let g = &e.geometry;
     entries
         .values()
-        .filter(|o| o.number != new && o.geometry.precedence < g.precedence && o.geometry.quad().overlaps(&g.quad()))
+        .filter(|o| {
+            o.number != new && o.geometry.precedence < g.precedence && o.geometry.quad().overlaps(&g.quad())
+        })
         .filter_map(|o| {
             let (a, b) = (g.steps[0] * g.steps[1], o.geometry.steps[0] * o.geometry.steps[1]);
-            let step = (a > b * 1.001).then(|| format!("coarser ({} against {})", g.steps[0], o.geometry.steps[0]));
+            let step =
+                (a > b * 1.001).then(|| format!("coarser ({} against {})", g.steps[0], o.geometry.steps[0]));
             let accuracy = (g.accuracy > o.geometry.accuracy)
                 .then(|| format!("less accurate ({} m against {} m)", g.accuracy, o.geometry.accuracy));
             let what: Vec<String> = [step, accuracy].into_iter().flatten().collect();
             (!what.is_empty()).then(|| {
-                format!("'{}' replaces '{}' where they meet, though it is {}", e.name, o.name, what.join(" and "))
+                format!(
+                    "'{}' replaces '{}' where they meet, though it is {}",
+                    e.name,
+                    o.name,
+                    what.join(" and ")
+                )
             })
         })
         .collect()

@@ -126,11 +126,17 @@ fn pages(db: &Db, s: &Snapshot, root: PageRef, r: &mut Report) -> Result<()> {
                 for (at, valid) in &d.pages {
                     touch(r, at, &format!("{place}, tile '{}'", t.file))?;
                     r.count("sample blocks", 1);
-                    let raw = view.files.page(at).and_then(|b| crate::height::block::decode(&b, &file_name(at.file)));
+                    let raw = view
+                        .files
+                        .page(at)
+                        .and_then(|b| crate::height::block::decode(&b, &file_name(at.file)));
                     if let Ok(raw) = raw
                         && raw.valid_count() != *valid
                     {
-                        r.problem(format!("{} valid samples, the directory says {valid}", raw.valid_count()), at.place());
+                        r.problem(
+                            format!("{} valid samples, the directory says {valid}", raw.valid_count()),
+                            at.place(),
+                        );
                     }
                 }
             }
@@ -243,11 +249,19 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
         stamp: 0,
     };
     let built = build(input, &s.view.files, &mut segment, progress)?;
-    if built.head.level_max != head.level_max || built.head.core != head.core || built.head.patches != head.patches {
+    if built.head.level_max != head.level_max
+        || built.head.core != head.core
+        || built.head.patches != head.patches
+    {
         r.problem(
             format!(
                 "levels {} core {:?} patches {}, rebuilt {} {:?} {}",
-                head.level_max, head.core, head.patches, built.head.level_max, built.head.core, built.head.patches
+                head.level_max,
+                head.core,
+                head.patches,
+                built.head.level_max,
+                built.head.core,
+                built.head.patches
             ),
             &name,
         );
@@ -267,7 +281,12 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
         for k in 0..page.patches.len() {
             if page.patches[k] != stored.patches[k] {
                 r.problem(
-                    format!("patch {:?} is {:?}, rebuilt {:?}", at.place(k), stored.patches[k], page.patches[k]),
+                    format!(
+                        "patch {:?} is {:?}, rebuilt {:?}",
+                        at.place(k),
+                        stored.patches[k],
+                        page.patches[k]
+                    ),
                     &name,
                 );
             }
@@ -289,7 +308,8 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
 fn standings(s: &Snapshot, r: &mut Report, progress: &Progress) -> Result<()> {
     let rules = Rules(&s.view);
     for e in s.entries().cloned().collect::<Vec<_>>() {
-        let mut all: Vec<(Place, crate::store::table::PatchEntry, crate::store::table::TopEntry)> = Vec::new();
+        let mut all: Vec<(Place, crate::store::table::PatchEntry, crate::store::table::TopEntry)> =
+            Vec::new();
         s.view.each_patch(e.number, |place, p, t| {
             all.push((place, *p, *t));
             Ok(())
@@ -310,7 +330,8 @@ fn standings(s: &Snapshot, r: &mut Report, progress: &Progress) -> Result<()> {
                 if place.level == 0 {
                     let fresh = cover::core_prime(&rules, e.number, place.i, place.j)?;
                     let at = crate::store::table::PageAddress::of_place(*place);
-                    let stored = s.view.top_page(e.number, at)?.map(|x| x.block(crate::store::table::slot(*place)));
+                    let stored =
+                        s.view.top_page(e.number, at)?.map(|x| x.block(crate::store::table::slot(*place)));
                     if stored != Some(fresh) {
                         return Ok(Some(format!("{place:?}: core' differs from the rule of precedence")));
                     }
@@ -320,7 +341,10 @@ fn standings(s: &Snapshot, r: &mut Report, progress: &Progress) -> Result<()> {
                         *f = s.view.top(e.number, c)?.map_or(Fill::Empty, |x| x.kernel);
                     }
                     if Fill::join(fills) != t.kernel {
-                        return Ok(Some(format!("{place:?}: kernel {:?} does not follow from its children", t.kernel)));
+                        return Ok(Some(format!(
+                            "{place:?}: kernel {:?} does not follow from its children",
+                            t.kernel
+                        )));
                     }
                 }
                 Ok(None)
@@ -335,7 +359,10 @@ fn standings(s: &Snapshot, r: &mut Report, progress: &Progress) -> Result<()> {
         r.count("tops", all.len() as u64);
         if (live, dormant) != (e.live, e.dormant) {
             r.problem(
-                format!("{live} live and {dormant} dormant patches, the root page says {} and {}", e.live, e.dormant),
+                format!(
+                    "{live} live and {dormant} dormant patches, the root page says {} and {}",
+                    e.live, e.dormant
+                ),
                 format!("survey '{}'", e.name),
             );
         }

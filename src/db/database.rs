@@ -135,10 +135,13 @@ impl Db {
         let constants = catalog(false)?.constants()?;
         let file = catalog_path(root).display().to_string();
         let get = |name: &str| {
-            constants.get(name).ok_or_else(|| Error::corrupt(&file, format!("constant '{name}'"), "is missing"))
+            constants
+                .get(name)
+                .ok_or_else(|| Error::corrupt(&file, format!("constant '{name}'"), "is missing"))
         };
-        let format: u32 =
-            get("format_version")?.parse().map_err(|_| Error::corrupt(&file, "format_version", "is not a number"))?;
+        let format: u32 = get("format_version")?
+            .parse()
+            .map_err(|_| Error::corrupt(&file, "format_version", "is not a number"))?;
         if format > FORMAT_VERSION {
             return Err(Error::unsupported(
                 root.display(),
@@ -146,7 +149,13 @@ impl Db {
                 "use a newer terraquilt",
             ));
         }
-        for (name, known) in [("kernel", "28"), ("margin", "2"), ("patch", "bilinear"), ("sharding", "0"), ("world_half_log2", "60")] {
+        for (name, known) in [
+            ("kernel", "28"),
+            ("margin", "2"),
+            ("patch", "bilinear"),
+            ("sharding", "0"),
+            ("world_half_log2", "60"),
+        ] {
             let found = get(name)?;
             if found != known {
                 return Err(Error::unsupported(
@@ -161,8 +170,9 @@ impl Db {
             "newest" => Policy::Newest,
             other => return Err(Error::corrupt(&file, "policy", format!("'{other}'"))),
         };
-        let exponent =
-            get("lattice_unit_log2")?.parse().map_err(|_| Error::corrupt(&file, "lattice_unit_log2", "is not a number"))?;
+        let exponent = get("lattice_unit_log2")?
+            .parse()
+            .map_err(|_| Error::corrupt(&file, "lattice_unit_log2", "is not a number"))?;
         Ok(Db {
             root: root.to_path_buf(),
             disk,
@@ -207,12 +217,22 @@ impl Db {
                 None => catalog.latest()?,
                 Some(0) => None,
                 Some(n) => Some(catalog.version(n)?.ok_or_else(|| {
-                    Error::missing(format!("version {n}"), "`terraquilt versions DB` lists those that are kept")
+                    Error::missing(
+                        format!("version {n}"),
+                        "`terraquilt versions DB` lists those that are kept",
+                    )
                 })?),
             };
             let Some(version) = version else {
                 let view = View::open(Files::new(self.disk.clone(), []), None)?;
-                return Ok(Snapshot { view, version: None, unit: self.unit, crs: self.crs.clone(), policy: self.policy, _lease: None });
+                return Ok(Snapshot {
+                    view,
+                    version: None,
+                    unit: self.unit,
+                    crs: self.crs.clone(),
+                    policy: self.policy,
+                    _lease: None,
+                });
             };
             let lease = Lease::take(&self.root, version.number)?;
             // Pruned between the look and the lease? Then look again.
@@ -257,7 +277,11 @@ impl Db {
     }
 
     /// Forgets versions and gives their bytes back. Keeps the latest, and every version that a reader holds.
-    pub fn prune(&self, choose: impl Fn(&[u64]) -> Vec<u64>, waiting: &mut dyn FnMut()) -> Result<PruneOutcome> {
+    pub fn prune(
+        &self,
+        choose: impl Fn(&[u64]) -> Vec<u64>,
+        waiting: &mut dyn FnMut(),
+    ) -> Result<PruneOutcome> {
         let mut writing = self.begin(waiting)?;
         let all: Vec<u64> = writing.catalog.versions()?.iter().map(|v| v.number).collect();
         let held = leased(&self.root)?;
@@ -393,7 +417,8 @@ impl Writing {
         action: String,
         operation: Option<&str>,
     ) -> Result<()> {
-        let mut live: HashMap<u32, (u64, u64)> = self.files.iter().map(|f| (f.number, (f.length, f.live))).collect();
+        let mut live: HashMap<u32, (u64, u64)> =
+            self.files.iter().map(|f| (f.number, (f.length, f.live))).collect();
         let mut last = self.counters.file;
         for segment in survey.into_iter().chain([derived]) {
             let number = segment.number();
@@ -418,8 +443,7 @@ impl Writing {
             .duration_since(std::time::UNIX_EPOCH)
             .map_or(0, |d| d.as_secs() as i64);
         let operation = operation.map_or_else(|| format!("commit-{number}"), str::to_string);
-        let counters =
-            Counters { file: last, survey: self.counters.survey.max(new_survey), version: number };
+        let counters = Counters { file: last, survey: self.counters.survey.max(new_survey), version: number };
         let version = Version { number, operation, made_at, action, root };
         self.catalog.commit(&Commit { version, files, counters })
     }

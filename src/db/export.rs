@@ -47,7 +47,8 @@ impl RawTile<'_> {
                 let c0 = (bi * BLOCK + raw.col as i64 - posts.i0) as usize;
                 for r in 0..raw.rows.min(rows) {
                     let (to, from) = (r * cols + c0, r * raw.cols);
-                    samples[to * w..(to + raw.cols) * w].copy_from_slice(&raw.samples[from * w..(from + raw.cols) * w]);
+                    samples[to * w..(to + raw.cols) * w]
+                        .copy_from_slice(&raw.samples[from * w..(from + raw.cols) * w]);
                     if let Some(v) = &raw.valid {
                         valid[to..to + raw.cols].copy_from_slice(&v[from..from + raw.cols]);
                     }

@@ -80,7 +80,12 @@ fn cells(view: &View, n: SurveyNumber, place: Place) -> Result<Vec<u32>> {
     Ok(out)
 }
 
-fn node(view: &View, at: &PageRef, ids: &HashMap<SurveyNumber, [u8; 16]>, h: &mut blake3::Hasher) -> Result<()> {
+fn node(
+    view: &View,
+    at: &PageRef,
+    ids: &HashMap<SurveyNumber, [u8; 16]>,
+    h: &mut blake3::Hasher,
+) -> Result<()> {
     let n = Node::read(&view.files, at)?;
     h.put_u32(n.records.len() as u32);
     for r in &n.records {

@@ -231,7 +231,9 @@ impl Head {
 
     /// Lowest and highest valid height.
     pub fn z(&self) -> [f64; 2] {
-        self.tiles.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |z, t| [z[0].min(t.z[0]), z[1].max(t.z[1])])
+        self.tiles
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |z, t| [z[0].min(t.z[0]), z[1].max(t.z[1])])
     }
 }
 

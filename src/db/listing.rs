@@ -64,7 +64,12 @@ pub fn surveys(s: &Snapshot) -> Result<Vec<SurveyRow>> {
                 accuracy_m: d.accuracy_m,
                 date: e.date.map(|d| d.to_string()),
                 precedence: e.geometry.precedence,
-                bounds: [b.min.x as f64 * size, b.min.y as f64 * size, b.max.x as f64 * size, b.max.y as f64 * size],
+                bounds: [
+                    b.min.x as f64 * size,
+                    b.min.y as f64 * size,
+                    b.max.x as f64 * size,
+                    b.max.y as f64 * size,
+                ],
                 version: e.since,
                 patches: e.live + e.dormant,
                 live: e.live,
@@ -263,7 +268,10 @@ pub struct TreeNode {
 pub fn tree(s: &Snapshot) -> Result<Option<TreeNode>> {
     fn read(view: &View, at: &crate::store::segment::PageRef) -> Result<TreeNode> {
         let n = crate::store::quadtree::Node::read(&view.files, at)?;
-        let mut out = TreeNode { ids: n.records.iter().map(|r| r.id.to_string()).collect(), children: Default::default() };
+        let mut out = TreeNode {
+            ids: n.records.iter().map(|r| r.id.to_string()).collect(),
+            children: Default::default(),
+        };
         for (slot, c) in out.children.iter_mut().zip(&n.children) {
             if let Some(c) = c {
                 *slot = Some(Box::new(read(view, &c.page)?));

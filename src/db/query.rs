@@ -60,7 +60,10 @@ pub struct Difference {
 pub fn difference(from: &[Record], to: &[Record]) -> Difference {
     let old: HashMap<_, &Record> = from.iter().map(|r| (r.id, r)).collect();
     let new: HashSet<_> = to.iter().map(|r| r.id).collect();
-    let mut d = Difference { removed: from.iter().filter(|r| !new.contains(&r.id)).copied().collect(), ..Difference::default() };
+    let mut d = Difference {
+        removed: from.iter().filter(|r| !new.contains(&r.id)).copied().collect(),
+        ..Difference::default()
+    };
     for r in to {
         match old.get(&r.id) {
             None => d.added.push(*r),
@@ -87,7 +90,10 @@ impl Snapshot {
     pub fn z_range(&self) -> Option<[f64; 2]> {
         let mut entries = self.entries().peekable();
         entries.peek()?;
-        Some(self.entries().fold([f64::INFINITY, f64::NEG_INFINITY], |z, e| [z[0].min(e.z[0]), z[1].max(e.z[1])]))
+        Some(
+            self.entries()
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |z, e| [z[0].min(e.z[0]), z[1].max(e.z[1])]),
+        )
     }
 
     /// xmin, ymin, xmax, ymax of the cores of all surveys, CRS units.
@@ -101,7 +107,10 @@ impl Snapshot {
         let whole = match query.region {
             Some(b) => {
                 if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
-                    return Err(Error::invalid("--bbox", format!("{b:?} is empty; give xmin,ymin,xmax,ymax")));
+                    return Err(Error::invalid(
+                        "--bbox",
+                        format!("{b:?} is empty; give xmin,ymin,xmax,ymax"),
+                    ));
                 }
                 Region::from_box(b)
             }
@@ -148,8 +157,13 @@ impl Snapshot {
     }
 
     fn select_in(&self, region: Region, cut: &dyn Cut, blend: Blend) -> Result<Selection> {
-        let mut out =
-            Selection { version: self.number(), records: Vec::new(), nodes: 0, tested: 0, region: region.clone() };
+        let mut out = Selection {
+            version: self.number(),
+            records: Vec::new(),
+            nodes: 0,
+            tested: 0,
+            region: region.clone(),
+        };
         let (Some(tree), false) = (&self.view.tree, region.is_empty()) else { return Ok(out) };
         let kappa = if blend == Blend::Exact { KAPPA } else { 1.0 };
         let size = self.unit.size();
@@ -158,7 +172,12 @@ impl Snapshot {
         let mut tested = 0;
         let mut records = Vec::new();
         let mut range = |cell: &Bounds| {
-            let b = [cell.min.x as f64 * size, cell.min.y as f64 * size, cell.max.x as f64 * size, cell.max.y as f64 * size];
+            let b = [
+                cell.min.x as f64 * size,
+                cell.min.y as f64 * size,
+                cell.max.x as f64 * size,
+                cell.max.y as f64 * size,
+            ];
             let part = region.clip(&Region::from_box(b).polygon);
             if part.is_empty() {
                 return None;
@@ -169,7 +188,11 @@ impl Snapshot {
         let mut visit = |r: &Record| -> Result<()> {
             tested += 1;
             if !self.view.entries().contains_key(&r.survey) {
-                return Err(Error::corrupt("tree", format!("survey {}", r.survey.0), "is not in the root page; run `terraquilt verify`"));
+                return Err(Error::corrupt(
+                    "tree",
+                    format!("survey {}", r.survey.0),
+                    "is not in the root page; run `terraquilt verify`",
+                ));
             }
             if !seen.insert((r.survey, r.place)) {
                 return Ok(());
@@ -211,18 +234,17 @@ impl Snapshot {
                 min: crate::base::lattice::Point::new(to(b[0]), to(b[1])),
                 max: crate::base::lattice::Point::new(to(b[2]), to(b[3])),
             };
-            if b[0].is_finite() { Rules(&self.view).meeting(&bounds).into_iter().collect() } else { HashSet::new() }
+            if b[0].is_finite() {
+                Rules(&self.view).meeting(&bounds).into_iter().collect()
+            } else {
+                HashSet::new()
+            }
         };
         let keep: Vec<SurveyNumber> =
             self.entries().map(|e| e.number).filter(|s| used.contains(s) || near.contains(s)).collect();
         let slot: HashMap<SurveyNumber, usize> = keep.iter().enumerate().map(|(k, s)| (*s, k)).collect();
-        let fields = keep
-            .iter()
-            .map(|s| {
-                let g = self.view.geometry_of(*s);
-                SurveyField::new(&g.frame, g.steps, g.accuracy, self.unit, origin)
-            })
-            .collect();
+        let fields =
+            keep.iter().map(|s| SurveyField::new(self.view.geometry_of(*s), self.unit, origin)).collect();
         let patches = selection
             .records
             .iter()
@@ -248,7 +270,12 @@ impl Snapshot {
 
     /// Heights at scattered points. Works through the points place by place, so memory stays small however far apart
     /// they lie; the answers do not depend on it.
-    pub fn heights(&self, points: &[[f64; 2]], tolerance: &Tolerance, blend: Blend) -> Result<Vec<Option<Evaluation>>> {
+    pub fn heights(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        blend: Blend,
+    ) -> Result<Vec<Option<Evaluation>>> {
         let mut out = vec![None; points.len()];
         let mut order: Vec<usize> =
             (0..points.len()).filter(|k| points[*k].iter().all(|v| v.is_finite())).collect();
@@ -284,7 +311,8 @@ impl Snapshot {
             return self.heights_within(points, right, tolerance, blend, side_max, out);
         }
         // A region around the points: any superset gives the same heights.
-        let pad = (b[0].abs().max(b[1].abs()).max(b[2].abs()).max(b[3].abs())).max(1.0) * 1e-9 + w.max(h) * 1e-6;
+        let pad =
+            (b[0].abs().max(b[1].abs()).max(b[2].abs()).max(b[3].abs())).max(1.0) * 1e-9 + w.max(h) * 1e-6;
         let region = Region::from_box([b[0] - pad, b[1] - pad, b[2] + pad, b[3] + pad]);
         // The points were named: a camera sets their tolerance, not what it sees.
         let cut = self.cut(tolerance);
@@ -398,11 +426,18 @@ impl Snapshot {
         let cut = self.cut(tolerance);
         let ground = self.ground(self.select_in(region, &*cut, blend)?, cut, blend);
         let found = ground.sheet().explain(p)?;
-        Ok(found.map_or(Vec::new(), |(_, who)| who.into_iter().map(|(k, w)| (ground.selection.records[k], w)).collect()))
+        Ok(found.map_or(Vec::new(), |(_, who)| {
+            who.into_iter().map(|(k, w)| (ground.selection.records[k], w)).collect()
+        }))
     }
 
     /// The patch that weighs most at each point; `None` where there is no data.
-    pub fn dominant(&self, points: &[[f64; 2]], tolerance: &Tolerance, blend: Blend) -> Result<Vec<Option<Record>>> {
+    pub fn dominant(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        blend: Blend,
+    ) -> Result<Vec<Option<Record>>> {
         let b = crate::height::lod::cut::bounds(points);
         if !b[0].is_finite() {
             return Ok(vec![None; points.len()]);

@@ -87,7 +87,8 @@ impl SampleReader<'_> {
 
     /// The 33 x 33 vertices of a patch.
     pub fn vertices(&self, place: Place) -> Result<Box<Vertices>> {
-        let mut z: Box<Vertices> = vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
+        let mut z: Box<Vertices> =
+            vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
         let d = place.domain();
         let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
         self.copy(place.level, i0, j0, SIDE, SIDE, &mut z[..], false)?;
@@ -109,7 +110,16 @@ impl SampleReader<'_> {
     }
 
     #[allow(clippy::too_many_arguments)]
-    fn copy(&self, level: u8, i0: i64, j0: i64, cols: usize, rows: usize, out: &mut [f64], nan: bool) -> Result<()> {
+    fn copy(
+        &self,
+        level: u8,
+        i0: i64,
+        j0: i64,
+        cols: usize,
+        rows: usize,
+        out: &mut [f64],
+        nan: bool,
+    ) -> Result<()> {
         let (i1, j1) = (i0 + cols as i64, j0 + rows as i64);
         for bj in j0.div_euclid(BLOCK)..=(j1 - 1).div_euclid(BLOCK) {
             for bi in i0.div_euclid(BLOCK)..=(i1 - 1).div_euclid(BLOCK) {

@@ -98,7 +98,9 @@ impl Root {
         if shards != 0 || derivation > DERIVATION_VERSION {
             return Err(Error::unsupported(
                 file,
-                format!("derivation {derivation}, sharding {shards}; this program knows derivation {DERIVATION_VERSION}, no sharding"),
+                format!(
+                    "derivation {derivation}, sharding {shards}; this program knows derivation {DERIVATION_VERSION}, no sharding"
+                ),
                 "use a newer terraquilt",
             ));
         }

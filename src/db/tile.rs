@@ -93,7 +93,11 @@ pub fn write_tile(
             let rows = batch.min((info.rows - next) as usize);
             let s = source.read(Window { col: 0, row: next, cols, rows })?;
             if s.data.len() != cols * rows * width || s.valid.len() != cols * rows {
-                return Err(Error::corrupt(&info.file, format!("rows {next}.."), "the source returned another extent"));
+                return Err(Error::corrupt(
+                    &info.file,
+                    format!("rows {next}.."),
+                    "the source returned another extent",
+                ));
             }
             for r in 0..rows {
                 hash.put(&s.data[r * cols * width..(r + 1) * cols * width]);

@@ -1,8 +1,8 @@
 //! A region of the surface as triangles: the one surface function, its outline and its posts handed to `mesh/`.
 
+use super::Snapshot;
 use super::query::{Ground, Query, Tolerance};
 use super::view::{Rules, Tables};
-use super::Snapshot;
 use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::cover::rects;
@@ -23,6 +23,13 @@ pub struct RegionMesh {
     /// surface_error_m + mesh.error_m.
     pub error_m: f64,
 }
+
+/// Where surveys meet, the surface changes over within a cell, most of it within a hundredth of one: near such walls the
+/// mesh is measured to within this many steps sideways.
+pub const WALL_STEPS: f64 = 0.02;
+
+/// Distances from core' in cells, at which a wall is looked at: dense where the weight of a survey ends.
+const WALL_STATIONS: [f64; 6] = [0.5, 0.85, 0.95, 0.98, 0.99, 1.0];
 
 /// Metres east and north of one CRS unit, at a place.
 pub fn metres_per_unit(unit: AxisUnit, at: [f64; 2]) -> [f64; 2] {
@@ -45,14 +52,18 @@ struct GroundField<'a> {
     failed: Mutex<Option<Error>>,
 }
 
-impl Field for GroundField<'_> {
-    fn sample(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
+impl GroundField<'_> {
+    fn ask(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>, slopes: bool) {
         out.clear();
         let at: Vec<[f64; 2]> =
             points.iter().map(|p| [0, 1].map(|k| self.origin[k] + p[k] / self.scale[k])).collect();
-        match self.ground.slopes(&at) {
+        match if slopes { self.ground.slopes(&at) } else { self.ground.heights(&at) } {
             Ok(found) => out.extend(found.into_iter().map(|e| {
-                e.map(|e| FieldSample { z: e.z, dzdx: e.gradient[0] / self.scale[0], dzdy: e.gradient[1] / self.scale[1] })
+                e.map(|e| FieldSample {
+                    z: e.z,
+                    dzdx: e.gradient[0] / self.scale[0],
+                    dzdy: e.gradient[1] / self.scale[1],
+                })
             })),
             Err(e) => {
                 out.extend(points.iter().map(|_| None));
@@ -62,13 +73,18 @@ impl Field for GroundField<'_> {
     }
 }
 
+impl Field for GroundField<'_> {
+    fn sample(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
+        self.ask(points, out, true);
+    }
+    fn heights(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
+        self.ask(points, out, false);
+    }
+}
+
 /// Triangulates a region within a total error: half goes to the surface, half to the mesh. Where the data are less
 /// accurate than their half, the surface has the error of the best data there, and the result says so.
-pub fn triangulate_region(
-    s: &Snapshot,
-    query: &Query,
-    progress: &dyn Fn(f64) -> bool,
-) -> Result<RegionMesh> {
+pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) -> bool) -> Result<RegionMesh> {
     let Tolerance::Constant(total) = query.tolerance else {
         return Err(Error::unsupported(
             "GLB",
@@ -82,7 +98,10 @@ pub fn triangulate_region(
     let ground = s.surface(&Query { tolerance: Tolerance::Constant(total / 2.0), ..query.clone() })?;
     let b = ground.selection.region.bounds();
     if !b[0].is_finite() || ground.selection.records.is_empty() {
-        return Err(Error::invalid("region", "holds no data; `terraquilt surveys` shows where the surveys are"));
+        return Err(Error::invalid(
+            "region",
+            "holds no data; `terraquilt surveys` shows where the surveys are",
+        ));
     }
     let origin = [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0];
     let scale = metres_per_unit(s.crs().unit, origin);
@@ -94,14 +113,19 @@ pub fn triangulate_region(
     });
     let polygons = outline(&quads, clip)?;
     let field = GroundField { ground: &ground, origin, scale, failed: Mutex::new(None) };
-    let options = MeshOptions::new(total / 2.0, step, posts.clone());
+    let mut options = MeshOptions::new(total / 2.0, step, posts.clone());
+    options.wall_m = step * WALL_STEPS;
+    options.posts.extend(walls(s, b, &local)?);
     let mesh = triangulate(&field, &polygons, &options, progress);
     if let Some(e) = field.failed.into_inner().unwrap_or(None) {
         return Err(e);
     }
     let mut mesh = mesh?;
     if mesh.triangles.is_empty() {
-        return Err(Error::invalid("region", "no cell with data lies in it; `terraquilt surveys` shows where the surveys are"));
+        return Err(Error::invalid(
+            "region",
+            "no cell with data lies in it; `terraquilt surveys` shows where the surveys are",
+        ));
     }
     // What the surface promises at its posts.
     let here: Vec<[f64; 2]> = posts.iter().map(|p| [0, 1].map(|k| origin[k] + p[k] / scale[k])).collect();
@@ -112,7 +136,10 @@ pub fn triangulate_region(
         }
     }
     // Heights near zero keep their digits as 32-bit floats.
-    let (lo, hi) = mesh.positions.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p[2]), b.max(p[2])));
+    let (lo, hi) = mesh
+        .positions
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p[2]), b.max(p[2])));
     let up = ((lo + hi) / 2.0).round();
     for p in &mut mesh.positions {
         p[2] -= up;
@@ -134,11 +161,7 @@ fn outline_and_posts(
     let rules = Rules(&s.view);
     let size = s.unit().size();
     let (mut quads, mut posts, mut step) = (Vec::new(), Vec::new(), f64::INFINITY);
-    let lattice = |v: f64| (v / size).round().clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
-    let bounds = crate::base::lattice::Bounds {
-        min: crate::base::lattice::Point::new(lattice(b[0]), lattice(b[1])),
-        max: crate::base::lattice::Point::new(lattice(b[2]), lattice(b[3])),
-    };
+    let bounds = region_bounds(b, size);
     let mut count = 0u64;
     for n in rules.meeting(&bounds) {
         let g = s.view.geometry_of(n);
@@ -146,7 +169,11 @@ fn outline_and_posts(
         let found = rects(&rules, n, Cells::CorePrime, &window)?;
         count += found.iter().map(|r| ((r.width() + 1) * (r.height() + 1)) as u64).sum::<u64>();
         if count > MESH_POSTS_MAX {
-            return Err(Error::limit("posts in the region of one mesh (give a smaller --bbox)", MESH_POSTS_MAX, count));
+            return Err(Error::limit(
+                "posts in the region of one mesh (give a smaller --bbox)",
+                MESH_POSTS_MAX,
+                count,
+            ));
         }
         let at = |i: i64, j: i64| {
             let p = g.frame.post(i, j);
@@ -175,4 +202,69 @@ fn outline_and_posts(
     posts.retain(|p| p[0] >= lo[0] && p[0] <= hi[0] && p[1] >= lo[1] && p[1] <= hi[1]);
     let _ = ground;
     Ok((quads, posts, if step.is_finite() { step } else { 1.0 }))
+}
+
+/// Points along the outer side of every survey's ring, where one survey gives way to another: candidates for vertices
+/// that no lattice of posts would hit.
+fn walls(s: &Snapshot, b: [f64; 4], local: &dyn Fn([f64; 2]) -> [f64; 2]) -> Result<Vec<[f64; 2]>> {
+    let rules = Rules(&s.view);
+    let size = s.unit().size();
+    let bounds = region_bounds(b, size);
+    let surveys = rules.meeting(&bounds);
+    let mut out = Vec::new();
+    if surveys.len() < 2 {
+        return Ok(out);
+    }
+    for n in surveys {
+        let g = s.view.geometry_of(n);
+        let window = g.frame.cells_meeting(&bounds.quad());
+        let cells = rects(&rules, n, Cells::CorePrime, &window)?;
+        let mut inside = std::collections::HashSet::new();
+        for r in &cells {
+            for j in r.j0..r.j1 {
+                let edge = j == r.j0 || j == r.j1 - 1;
+                for i in if edge { (r.i0..r.i1).collect::<Vec<_>>() } else { vec![r.i0, r.i1 - 1] } {
+                    inside.insert((i, j));
+                }
+            }
+        }
+        let within = |i: i64, j: i64| cells.iter().any(|r| r.i0 <= i && i < r.i1 && r.j0 <= j && j < r.j1);
+        let mut ring = std::collections::BTreeSet::new();
+        for &(i, j) in &inside {
+            for (a, c) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)] {
+                if !inside.contains(&(i + a, j + c))
+                    && !ring.contains(&(i + a, j + c))
+                    && !within(i + a, j + c)
+                {
+                    ring.insert((i + a, j + c));
+                }
+            }
+        }
+        for (i, j) in ring {
+            // Both ends of each station: the cell may be left towards any side.
+            let stations: Vec<f64> = WALL_STATIONS.iter().flat_map(|t| [*t, 1.0 - *t]).collect();
+            for y in &stations {
+                for x in &stations {
+                    let p = g.frame.post(i, j);
+                    let q = [
+                        p.x as f64 + x * g.frame.u.x as f64 + y * g.frame.v.x as f64,
+                        p.y as f64 + x * g.frame.u.y as f64 + y * g.frame.v.y as f64,
+                    ];
+                    let at = [q[0] * size, q[1] * size];
+                    if at[0] > b[0] && at[0] < b[2] && at[1] > b[1] && at[1] < b[3] {
+                        out.push(local(at));
+                    }
+                }
+            }
+        }
+    }
+    Ok(out)
+}
+
+fn region_bounds(b: [f64; 4], size: f64) -> crate::base::lattice::Bounds {
+    let lattice = |v: f64| (v / size).round().clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
+    crate::base::lattice::Bounds {
+        min: crate::base::lattice::Point::new(lattice(b[0]), lattice(b[1])),
+        max: crate::base::lattice::Point::new(lattice(b[2]), lattice(b[3])),
+    }
 }

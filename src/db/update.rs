@@ -161,9 +161,11 @@ impl<'a> Draft<'a> {
                     for (at, _) in head.pages.iter().filter(|(a, _)| a.level == 0) {
                         if let Some(page) = self.base.patch_page(*n, *at)? {
                             places.extend(
-                                page.patches.iter().enumerate().filter(|(_, e)| e.is_some()).map(|(k, _)| {
-                                    (at.place(k).i, at.place(k).j)
-                                }),
+                                page.patches
+                                    .iter()
+                                    .enumerate()
+                                    .filter(|(_, e)| e.is_some())
+                                    .map(|(k, _)| (at.place(k).i, at.place(k).j)),
                             );
                         }
                     }
@@ -245,7 +247,8 @@ impl<'a> Draft<'a> {
                 }
                 let set = work.entry(*h).or_default();
                 for area in joined(places) {
-                    let cells = e.geometry.frame.cells_meeting(&g.frame.quad(&area)).intersect(&e.geometry.core);
+                    let cells =
+                        e.geometry.frame.cells_meeting(&g.frame.quad(&area)).intersect(&e.geometry.core);
                     let range = places_meeting(0, &cells);
                     for j in range.j0..range.j1 {
                         set.extend((range.i0..range.i1).map(|i| (i as i32, j as i32)));
@@ -287,7 +290,8 @@ impl<'a> Draft<'a> {
         }
         // Places above a flip, and places that came: what is left of their rectangles.
         for (s, e) in self.entries.clone() {
-            let mut places: BTreeSet<Place> = flipped.get(&s).map_or(BTreeSet::new(), |f| f.iter().copied().collect());
+            let mut places: BTreeSet<Place> =
+                flipped.get(&s).map_or(BTreeSet::new(), |f| f.iter().copied().collect());
             for level in 1..=e.geometry.level_max {
                 let mut above: BTreeSet<Place> = places.iter().map(Place::parent).collect();
                 // A place that came without a flip below it (its children had come before): a new top level.
@@ -301,7 +305,8 @@ impl<'a> Draft<'a> {
                     let kernel = Fill::join(fills);
                     if kernel != entry.kernel {
                         let k = slot(*place);
-                        self.edit_top(s, PageAddress::of_place(*place))?.tops[k] = Some(TopEntry { kernel, ..entry });
+                        self.edit_top(s, PageAddress::of_place(*place))?.tops[k] =
+                            Some(TopEntry { kernel, ..entry });
                     }
                     // Its cells changed even if it was and is mixed.
                     flipped.entry(s).or_default().insert(*place);
@@ -320,7 +325,8 @@ impl<'a> Draft<'a> {
                 && at.level == level
                 && let Some(p) = page
             {
-                let new = p.tops.iter().enumerate().filter(|(_, t)| t.is_some_and(|t| t.standing.top.is_nan()));
+                let new =
+                    p.tops.iter().enumerate().filter(|(_, t)| t.is_some_and(|t| t.standing.top.is_nan()));
                 out.extend(new.map(|(k, _)| at.place(k)));
             }
         }
@@ -357,8 +363,7 @@ impl<'a> Draft<'a> {
                 if !quad.bounds().overlaps(&g.bounds()) {
                     continue;
                 }
-                let cells =
-                    if s == x { *region } else { g.frame.cells_meeting(&quad) }.intersect(&g.core);
+                let cells = if s == x { *region } else { g.frame.cells_meeting(&quad) }.intersect(&g.core);
                 for level in 0..=g.level_max {
                     let range = places_meeting(level, &cells);
                     for j in range.j0..range.j1 {
@@ -419,8 +424,8 @@ impl<'a> Draft<'a> {
                         if may_cover && *bot <= top.standing.top {
                             return Ok(true);
                         }
-                        let kernel_changed = !self.entries.contains_key(s)
-                            || flipped.get(s).is_some_and(|f| f.contains(&q));
+                        let kernel_changed =
+                            !self.entries.contains_key(s) || flipped.get(s).is_some_and(|f| f.contains(&q));
                         if better && level == 0 && kernel_changed {
                             return Ok(true);
                         }
@@ -432,7 +437,12 @@ impl<'a> Draft<'a> {
     }
 
     /// Step 3, what: tops and floors, in parallel.
-    fn stand(&mut self, dirty: &[(SurveyNumber, Place, Fact)], out: &mut Changes, progress: &Progress) -> Result<()> {
+    fn stand(
+        &mut self,
+        dirty: &[(SurveyNumber, Place, Fact)],
+        out: &mut Changes,
+        progress: &Progress,
+    ) -> Result<()> {
         let done = std::sync::atomic::AtomicU64::new(0);
         let found: Vec<Standing> = {
             let draft = &*self;
@@ -507,7 +517,8 @@ fn state(t: &dyn Tables, s: SurveyNumber, place: Place) -> Result<Option<Option<
 
 /// Level-0 places as a few rectangles of cells: rows of places, joined where equal.
 fn joined(places: &[(i32, i32)]) -> Vec<CellRect> {
-    let mut rects: Vec<CellRect> = places.iter().map(|(i, j)| Place { level: 0, i: *i, j: *j }.rect()).collect();
+    let mut rects: Vec<CellRect> =
+        places.iter().map(|(i, j)| Place { level: 0, i: *i, j: *j }.rect()).collect();
     crate::height::cells::merge(&mut rects);
     rects
 }

@@ -10,7 +10,9 @@ use crate::height::cells::{Block, Fill};
 use crate::height::lod::{Cells, Fact, Geometry, Place, SurveyNumber, World};
 use crate::store::quadtree::{Domains, Record};
 use crate::store::segment::{Files, PageRef, Pages, file_name};
-use crate::store::table::{PageAddress, PageList, PatchEntry, PatchPage, TopEntry, TopPage, find, read_list, slot};
+use crate::store::table::{
+    PageAddress, PageList, PatchEntry, PatchPage, TopEntry, TopPage, find, read_list, slot,
+};
 use quick_cache::sync::Cache;
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
@@ -41,10 +43,7 @@ impl Index {
 /// A box in floats, grown by more than an `i64` loses in an `f64`.
 fn corners(b: &Bounds) -> ([f64; 2], [f64; 2]) {
     const SLACK: f64 = 1024.0;
-    (
-        [b.min.x as f64 - SLACK, b.min.y as f64 - SLACK],
-        [b.max.x as f64 + SLACK, b.max.y as f64 + SLACK],
-    )
+    ([b.min.x as f64 - SLACK, b.min.y as f64 - SLACK], [b.max.x as f64 + SLACK, b.max.y as f64 + SLACK])
 }
 
 /// Patch and top tables of a set of surveys, wherever their pages are.
@@ -147,12 +146,18 @@ impl View {
     }
 
     pub fn entry(&self, survey: SurveyNumber) -> Result<&SurveyEntry> {
-        self.entries.get(&survey).ok_or_else(|| Error::missing(format!("survey {}", survey.0), "see `terraquilt surveys`"))
+        self.entries
+            .get(&survey)
+            .ok_or_else(|| Error::missing(format!("survey {}", survey.0), "see `terraquilt surveys`"))
     }
 
     pub fn head(&self, survey: SurveyNumber) -> Result<&Arc<Head>> {
         let slot = self.heads.get(&survey).ok_or_else(|| {
-            Error::corrupt("tree", format!("survey {}", survey.0), "is not in the root page; rebuild from a backup")
+            Error::corrupt(
+                "tree",
+                format!("survey {}", survey.0),
+                "is not in the root page; rebuild from a backup",
+            )
         })?;
         if let Some(h) = slot.get() {
             return Ok(h);
@@ -164,7 +169,11 @@ impl View {
 
     pub fn top_list(&self, survey: SurveyNumber) -> Result<&Arc<PageList>> {
         let slot = self.top_lists.get(&survey).ok_or_else(|| {
-            Error::corrupt("tree", format!("survey {}", survey.0), "is not in the root page; rebuild from a backup")
+            Error::corrupt(
+                "tree",
+                format!("survey {}", survey.0),
+                "is not in the root page; rebuild from a backup",
+            )
         })?;
         if let Some(l) = slot.get() {
             return Ok(l);
@@ -195,13 +204,14 @@ impl View {
     }
 
     /// Calls `f` with a reader of one survey's samples.
-    pub fn with_samples<R>(&self, survey: SurveyNumber, f: impl FnOnce(&SampleReader) -> Result<R>) -> Result<R> {
+    pub fn with_samples<R>(
+        &self,
+        survey: SurveyNumber,
+        f: impl FnOnce(&SampleReader) -> Result<R>,
+    ) -> Result<R> {
         let head = self.head(survey)?.clone();
-        let tiles = head
-            .tiles
-            .iter()
-            .map(|t| Ok((t, self.directory(&t.directory)?)))
-            .collect::<Result<Vec<_>>>()?;
+        let tiles =
+            head.tiles.iter().map(|t| Ok((t, self.directory(&t.directory)?))).collect::<Result<Vec<_>>>()?;
         let levels = |level: u8, bi: i64, bj: i64| self.level_block(survey, level, bi, bj);
         f(&SampleReader {
             pages: &self.files,
@@ -238,7 +248,11 @@ impl View {
             for (k, p) in page.patches.iter().enumerate() {
                 let Some(p) = p else { continue };
                 let top = tops.as_ref().and_then(|t| t.tops[k]).ok_or_else(|| {
-                    Error::corrupt("top table", format!("{:?}", at.place(k)), "a patch has no entry; run `terraquilt verify`")
+                    Error::corrupt(
+                        "top table",
+                        format!("{:?}", at.place(k)),
+                        "a patch has no entry; run `terraquilt verify`",
+                    )
                 })?;
                 f(at.place(k), p, &top)?;
             }

@@ -55,7 +55,9 @@ macro_rules! planes {
             for k in 0..n {
                 let (c, r) = (k % cols, k / cols);
                 let predicted = match (c > 0, r > 0) {
-                    (true, true) => values[k - 1].wrapping_add(values[k - cols]).wrapping_sub(values[k - cols - 1]),
+                    (true, true) => {
+                        values[k - 1].wrapping_add(values[k - cols]).wrapping_sub(values[k - cols - 1])
+                    }
                     (true, false) => values[k - 1],
                     (false, true) => values[k - cols],
                     (false, false) => 0,
@@ -284,7 +286,8 @@ mod tests {
             }
         }
         let valid = voids.then(|| (0..cols * rows).map(|k| u8::from(k % 5 != 0)).collect::<Vec<u8>>());
-        let fills = valid.as_ref().map_or(Vec::new(), |v| v.iter().filter(|x| **x == 0).map(|_| 7.5f32).collect());
+        let fills =
+            valid.as_ref().map_or(Vec::new(), |v| v.iter().filter(|x| **x == 0).map(|_| 7.5f32).collect());
         RawBlock { col: 3, row: 4, cols, rows, sample_type: t, samples, valid, fills }
     }
 
@@ -302,7 +305,8 @@ mod tests {
 
     #[test]
     fn special_floats_survive() {
-        let values = [f32::NAN, f32::INFINITY, -0.0, 0.0, f32::MIN, f32::MAX, f32::from_bits(0x7fc0_1234), 1e-40];
+        let values =
+            [f32::NAN, f32::INFINITY, -0.0, 0.0, f32::MIN, f32::MAX, f32::from_bits(0x7fc0_1234), 1e-40];
         let samples: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let b = RawBlock {
             col: 0,

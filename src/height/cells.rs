@@ -101,7 +101,8 @@ impl Block {
                     runs.swap_remove(k);
                     return true;
                 }
-                let r = CellRect::new(ci + i64::from(s), cj + b0 as i64, ci + i64::from(e), cj + b as i64).intersect(window);
+                let r = CellRect::new(ci + i64::from(s), cj + b0 as i64, ci + i64::from(e), cj + b as i64)
+                    .intersect(window);
                 if !r.is_empty() {
                     out.push(r);
                 }

@@ -116,7 +116,10 @@ impl Lattice {
         if !(col_step.iter().chain(&row_step).chain(&a.origin).all(|s| s.is_finite()))
             || lattice.determinant() == 0.0
         {
-            return Err(Error::invalid("georeference", format!("steps {col_step:?} and {row_step:?} span no area")));
+            return Err(Error::invalid(
+                "georeference",
+                format!("steps {col_step:?} and {row_step:?} span no area"),
+            ));
         }
         let (p, q) = lattice.position(a.origin);
         let phase = |t: f64| {
@@ -172,7 +175,10 @@ impl Lattice {
             }
         }
         if first.iter().any(|f| f.abs() > 1e9) {
-            return Err(Error::invalid(file, format!("post index {first:?} from the CRS origin is beyond 1e9")));
+            return Err(Error::invalid(
+                file,
+                format!("post index {first:?} from the CRS origin is beyond 1e9"),
+            ));
         }
         Ok([first[0] as i64, first[1] as i64])
     }
@@ -203,13 +209,18 @@ impl Lattice {
         let (u, v) = (step(self.col_step)?, step(self.row_step)?);
         let anchor = [0, 1].map(|k| self.phase[0] * self.col_step[k] + self.phase[1] * self.row_step[k]);
         let anchor = Point::new(
-            unit.round(anchor[0]).ok_or_else(|| Error::invalid("georeference", "anchor outside the world"))?,
-            unit.round(anchor[1]).ok_or_else(|| Error::invalid("georeference", "anchor outside the world"))?,
+            unit.round(anchor[0])
+                .ok_or_else(|| Error::invalid("georeference", "anchor outside the world"))?,
+            unit.round(anchor[1])
+                .ok_or_else(|| Error::invalid("georeference", "anchor outside the world"))?,
         );
         let frame = Frame { anchor, u, v };
         // Below this a post index could not be told from its neighbour after rounding of the steps.
         if frame.determinant().unsigned_abs() < 1 << 40 {
-            return Err(Error::invalid("georeference", format!("steps {:?} {:?} are too small", self.col_step, self.row_step)));
+            return Err(Error::invalid(
+                "georeference",
+                format!("steps {:?} {:?} are too small", self.col_step, self.row_step),
+            ));
         }
         Ok(frame)
     }
@@ -264,7 +275,8 @@ impl Frame {
     /// Index coordinates of a lattice point, in `f64` (relative error about 1e-15 of the index).
     pub fn index(&self, p: Point) -> (f64, f64) {
         let d = self.determinant() as f64;
-        let (dx, dy) = (i128::from(p.x) - i128::from(self.anchor.x), i128::from(p.y) - i128::from(self.anchor.y));
+        let (dx, dy) =
+            (i128::from(p.x) - i128::from(self.anchor.x), i128::from(p.y) - i128::from(self.anchor.y));
         // The numerators are exact integers below 2^123; only the two conversions and the division round.
         let a = dx * i128::from(self.v.y) - dy * i128::from(self.v.x);
         let b = i128::from(self.u.x) * dy - i128::from(self.u.y) * dx;

@@ -236,7 +236,13 @@ mod tests {
     use crate::height::frame::CellRect;
 
     /// Every sample of the closed domain against the patch, one by one.
-    fn brute(level: u8, place: (i64, i64), n: i64, post: &dyn Fn(i64, i64) -> f64, vertex: &dyn Fn(i64, i64) -> f64) -> f64 {
+    fn brute(
+        level: u8,
+        place: (i64, i64),
+        n: i64,
+        post: &dyn Fn(i64, i64) -> f64,
+        vertex: &dyn Fn(i64, i64) -> f64,
+    ) -> f64 {
         let d = Place::new(level, place.0, place.1).domain();
         let r = 1i64 << level;
         let mut z = [0.0; SIDE * SIDE];
@@ -280,7 +286,11 @@ mod tests {
             for pj in -1..4 {
                 for pi in -1..4 {
                     let want = brute(level, (pi, pj), n, &post, &vertex);
-                    assert!((found[k] - want).abs() < 1e-12, "level {level} place {pi} {pj}: {} {want}", found[k]);
+                    assert!(
+                        (found[k] - want).abs() < 1e-12,
+                        "level {level} place {pi} {pj}: {} {want}",
+                        found[k]
+                    );
                     k += 1;
                 }
             }

@@ -94,7 +94,7 @@ pub fn triangulate(
     }
 
     let origin = options.posts.first().copied().unwrap_or([0.0; 2]);
-    let lattice = Lattice { origin, step, unit, bound };
+    let lattice = Lattice { origin, step, unit, bound, wall: options.wall_m };
     let start = tin.worst_error().unwrap_or(bound).max(bound * 1.001);
     let grown = |tin: &Tin| {
         within_limit(tin.vertex_count())?;
@@ -173,7 +173,7 @@ fn insert_all(
 
 fn sites(field: &dyn Field, posts: &[[f64; 2]]) -> Vec<Site> {
     let mut heights = Vec::with_capacity(posts.len());
-    field.sample(posts, &mut heights);
+    field.heights(posts, &mut heights);
     let known = posts.iter().zip(heights);
     known.filter_map(|(p, s)| s.map(|s| Site { x: p[0], y: p[1], z: s.z, z_snapped: s.z })).collect()
 }

@@ -7,6 +7,8 @@ pub(super) struct Lattice {
     pub step: f64,
     pub unit: f64,
     pub bound: f64,
+    /// Horizontal distance within which a wall may be met, metres.
+    pub wall: f64,
 }
 
 impl Lattice {

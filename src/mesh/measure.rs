@@ -83,7 +83,7 @@ pub(super) fn snap_heights(tin: &Tin, field: &dyn Field, mut sites: Vec<&mut Sit
     let points: Vec<[f64; 2]> = sites.iter().map(|s| [tin.snap(s.x), tin.snap(s.y)]).collect();
     let mut heights: Vec<Option<FieldSample>> = Vec::new();
     if !points.is_empty() {
-        field.sample(&points, &mut heights);
+        field.heights(&points, &mut heights);
     }
     for (site, height) in sites.into_iter().zip(heights) {
         site.z_snapped = height.map_or(site.z, |h| h.z);
@@ -132,7 +132,7 @@ fn measure_job(tin: &Tin, field: &dyn Field, lattice: &Lattice, job: &[Item]) ->
         spans.push((start.0..points.len(), start.1..rim.len()));
     }
     let mut heights = Vec::with_capacity(points.len());
-    field.sample(&points, &mut heights);
+    field.heights(&points, &mut heights);
     let rim_heights = if rim.is_empty() {
         Vec::new()
     } else {
@@ -146,12 +146,15 @@ fn measure_job(tin: &Tin, field: &dyn Field, lattice: &Lattice, job: &[Item]) ->
         let first = hot.len();
         let inner = points[inner.clone()].iter().zip(heights[inner].iter().map(|h| h.map(|h| h.z)));
         let outer = rim[outer.clone()].iter().zip(rim_heights[outer].iter().copied());
-        for (p, z) in inner.chain(outer) {
-            let Some(z) = z else { continue };
-            let error = (plane.at(p[0], p[1]) - z).abs();
-            found.take(error, *p, z, lattice.bound);
-            if error > lattice.bound * HOT_SHARE {
-                hot.push(Hot { item: index, error, at: *p });
+        let mut probes: Vec<Probe> = inner
+            .chain(outer)
+            .filter_map(|(p, z)| z.map(|z| Probe { at: *p, z, mesh: plane.at(p[0], p[1]), error: 0.0 }))
+            .collect();
+        distances(field, lattice, &mut probes);
+        for p in probes {
+            found.take(&p, lattice.bound);
+            if p.error > lattice.bound * HOT_SHARE {
+                hot.push(Hot { item: index, error: p.error, at: p.at });
             }
         }
         thin_out(&mut hot, first, lattice.step / 2.0);
@@ -177,12 +180,58 @@ struct Hot {
 }
 
 impl Found {
-    fn take(&mut self, error: f64, at: [f64; 2], z: f64, bound: f64) {
+    fn take(&mut self, p: &Probe, bound: f64) {
         self.points += 1;
-        self.error = self.error.max(error);
-        if error > bound {
-            self.sites.push((error, at, z));
+        self.error = self.error.max(p.error);
+        if p.error > bound {
+            self.sites.push((p.error, p.at, p.z));
         }
+    }
+}
+
+/// A point at which mesh and field are compared.
+struct Probe {
+    at: [f64; 2],
+    /// Height of the field, and of the mesh.
+    z: f64,
+    mesh: f64,
+    error: f64,
+}
+
+/// Vertical distances of mesh and field. Where that is above the bound the field may be a wall: then the mesh is
+/// right if the field takes its height within [`MeshOptions::wall_m`](super::MeshOptions) of the point, and the
+/// distance is to the span of heights there.
+fn distances(field: &dyn Field, lattice: &Lattice, probes: &mut [Probe]) {
+    const WAYS: [[f64; 2]; 8] = [
+        [1.0, 0.0],
+        [-1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, -1.0],
+        [0.7, 0.7],
+        [-0.7, 0.7],
+        [0.7, -0.7],
+        [-0.7, -0.7],
+    ];
+    for p in probes.iter_mut() {
+        p.error = (p.mesh - p.z).abs();
+    }
+    if lattice.wall <= 0.0 {
+        return;
+    }
+    let far: Vec<usize> = (0..probes.len()).filter(|k| probes[*k].error > lattice.bound).collect();
+    let around = far.iter().flat_map(|k| {
+        let at = probes[*k].at;
+        WAYS.map(|w| [at[0] + w[0] * lattice.wall, at[1] + w[1] * lattice.wall])
+    });
+    let around: Vec<[f64; 2]> = around.collect();
+    let mut heights = Vec::with_capacity(around.len());
+    if !around.is_empty() {
+        field.heights(&around, &mut heights);
+    }
+    for (k, beside) in far.into_iter().zip(heights.chunks(WAYS.len())) {
+        let p = &mut probes[k];
+        let (lo, hi) = beside.iter().flatten().fold((p.z, p.z), |(lo, hi), h| (lo.min(h.z), hi.max(h.z)));
+        p.error = (lo - p.mesh).max(p.mesh - hi).max(0.0);
     }
 }
 
@@ -230,16 +279,22 @@ fn search(
         spans.push(start..points.len());
     }
     let mut heights = Vec::with_capacity(points.len());
-    field.sample(&points, &mut heights);
+    field.heights(&points, &mut heights);
     for (h, span) in hot.iter_mut().zip(spans) {
         let found = &mut found[h.item];
         let plane = tin.plane(tin.facets[found.facet as usize].corners);
-        for (p, z) in points[span.clone()].iter().zip(&heights[span]) {
-            let Some(FieldSample { z, .. }) = *z else { continue };
-            let error = (plane.at(p[0], p[1]) - z).abs();
-            found.take(error, *p, z, lattice.bound);
-            if error > h.error {
-                (h.error, h.at) = (error, *p);
+        let mut probes: Vec<Probe> = points[span.clone()]
+            .iter()
+            .zip(&heights[span])
+            .filter_map(|(p, z)| {
+                z.map(|FieldSample { z, .. }| Probe { at: *p, z, mesh: plane.at(p[0], p[1]), error: 0.0 })
+            })
+            .collect();
+        distances(field, lattice, &mut probes);
+        for p in probes {
+            found.take(&p, lattice.bound);
+            if p.error > h.error {
+                (h.error, h.at) = (p.error, p.at);
             }
         }
     }

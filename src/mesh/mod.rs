@@ -48,6 +48,11 @@ pub trait Field: Sync {
     /// The answer to a point must not depend on the batch that it is in. A point on the region's border
     /// should be answered; where it is not, points up to a tenth of a step inside are tried.
     fn sample(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>);
+
+    /// The same heights, bit for bit; gradients may be left at 0 if they cost extra.
+    fn heights(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
+        self.sample(points, out);
+    }
 }
 
 /// What [`triangulate`] shall do.
@@ -61,6 +66,10 @@ pub struct MeshOptions {
     /// The posts of the surveys in the region: where vertices are tried first, and where the error is
     /// measured. Posts outside the region are ignored.
     pub posts: Vec<[f64; 2]>,
+    /// Walls: the mesh may differ from the field by more than the bound at a point where the field takes the mesh's
+    /// height within this horizontal distance, metres; 0: nowhere. A continuous surface may climb metres in
+    /// millimetres where two surveys disagree, and no mesh of 32-bit floats follows that vertically.
+    pub wall_m: f64,
     /// At most so many vertices.
     pub vertices_max: usize,
 }
@@ -68,7 +77,13 @@ pub struct MeshOptions {
 impl MeshOptions {
     /// Options with the largest number of vertices that is allowed.
     pub fn new(error_m: f64, step_m: f64, posts: Vec<[f64; 2]>) -> MeshOptions {
-        MeshOptions { error_m, step_m, posts, vertices_max: crate::base::limits::MESH_VERTICES_MAX }
+        MeshOptions {
+            error_m,
+            step_m,
+            posts,
+            wall_m: 0.0,
+            vertices_max: crate::base::limits::MESH_VERTICES_MAX,
+        }
     }
 }
 

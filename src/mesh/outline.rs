@@ -64,7 +64,7 @@ const CHORD_UNITS: f64 = 3.0;
 ///
 /// Coordinates of the result are multiples of [`grid_unit`] of the largest coordinate; no vertex is moved
 /// farther than two units and those left out were within three of the line. The order of polygons, rings and vertices is the same for the same quads.
-/// Takes about 2 microseconds a quad. Empty if nothing is left.
+/// Takes about 4 microseconds a quad. Empty if nothing is left.
 ///
 /// # Errors
 /// [`Error::Invalid`] if a coordinate is not finite or the clip box is empty.

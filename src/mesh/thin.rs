@@ -107,7 +107,7 @@ fn error_without(tin: &Tin, field: &dyn Field, lattice: &Lattice, v: u32) -> Opt
         owners.resize(points.len(), owner);
     }
     let mut heights = Vec::with_capacity(points.len());
-    field.sample(&points, &mut heights);
+    field.heights(&points, &mut heights);
     for ((p, z), i) in points.iter().zip(heights).zip(owners) {
         let Some(FieldSample { z, .. }) = z else { continue };
         let error = (planes[i].at(p[0], p[1]) - z).abs();

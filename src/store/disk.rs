@@ -99,7 +99,11 @@ impl Disk for RealDisk {
         let path = self.path(name);
         let file = File::open(&path).map_err(|e| {
             if e.kind() == std::io::ErrorKind::NotFound {
-                Error::corrupt(path.display(), "file", "named by the catalog but missing; restore it from a backup")
+                Error::corrupt(
+                    path.display(),
+                    "file",
+                    "named by the catalog but missing; restore it from a backup",
+                )
             } else {
                 Error::io(&path, e)
             }

@@ -85,7 +85,8 @@ pub fn leased(directory: &Path) -> Result<Vec<u64>> {
     for entry in entries {
         let entry = entry.map_err(|e| Error::io(&readers, e))?;
         let name = entry.file_name();
-        let Some(version) = name.to_str().and_then(|n| n.split('-').next()).and_then(|v| v.parse().ok()) else {
+        let Some(version) = name.to_str().and_then(|n| n.split('-').next()).and_then(|v| v.parse().ok())
+        else {
             continue;
         };
         let Ok(file) = File::open(entry.path()) else { continue };

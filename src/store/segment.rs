@@ -171,7 +171,10 @@ impl SegmentWriter {
 impl Pages for SegmentWriter {
     fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>> {
         let mut buffer = vec![0; at.len as usize];
-        self.file.lock().expect("no thread panicked while holding the file").read_at(at.offset, &mut buffer)?;
+        self.file
+            .lock()
+            .expect("no thread panicked while holding the file")
+            .read_at(at.offset, &mut buffer)?;
         verify(&file_name(at.file), at, &buffer)?;
         Ok(Cow::Owned(buffer))
     }
@@ -212,7 +215,11 @@ impl Files {
     pub fn bytes(&self, number: u32) -> Result<&[u8]> {
         let name = file_name(number);
         let Some((len, slot)) = self.files.get(&number) else {
-            return Err(Error::corrupt(&name, "reference", "a page is named in a file that this version does not hold"));
+            return Err(Error::corrupt(
+                &name,
+                "reference",
+                "a page is named in a file that this version does not hold",
+            ));
         };
         if let Some(open) = slot.get() {
             return Ok((**open).as_ref());

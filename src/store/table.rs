@@ -191,7 +191,8 @@ impl TopPage {
             let code = r.u8()?;
             let kernel = Fill::from_code(code & 15).ok_or_else(|| r.bad(format!("fill {code}")))?;
             let top = r.f32()?;
-            page.tops[slot] = Some(TopEntry { standing: Standing { top, floor: code >> 4 & 1 == 1 }, kernel });
+            page.tops[slot] =
+                Some(TopEntry { standing: Standing { top, floor: code >> 4 & 1 == 1 }, kernel });
         }
         page.cells = read_cells(&mut r)?;
         r.end()?;
@@ -215,7 +216,9 @@ fn read_address(r: &mut Reader, kind: u8, at: PageAddress) -> Result<usize> {
     let found = r.u8()?;
     let here = PageAddress { level: r.u8()?, i: r.i32()?, j: r.i32()? };
     if found != kind || here != at {
-        return Err(r.bad(format!("holds page '{}' {here:?}, '{}' {at:?} was wanted", found as char, kind as char)));
+        return Err(
+            r.bad(format!("holds page '{}' {here:?}, '{}' {at:?} was wanted", found as char, kind as char))
+        );
     }
     let n = r.u16()? as usize;
     if n > SLOTS {
@@ -321,7 +324,8 @@ mod tests {
         let mut tops = TopPage::default();
         for slot in [0usize, 17, 255] {
             let core = if slot == 17 { Fill::Mixed } else { Fill::Full };
-            page.patches[slot] = Some(PatchEntry { fact: Fact { id: PatchId([slot as u8; 16]), bot: 1.5 }, core });
+            page.patches[slot] =
+                Some(PatchEntry { fact: Fact { id: PatchId([slot as u8; 16]), bot: 1.5 }, core });
             let standing = Standing { top: f32::INFINITY, floor: slot == 0 };
             tops.tops[slot] = Some(TopEntry { standing, kernel: core });
         }

@@ -176,9 +176,8 @@ pub fn random_grid(r: &mut Random, name: &str, posts_max: usize) -> Grid {
     let lift = if r.chance(0.3) { 20.0 } else { 0.0 };
     for j in 0..rows {
         for i in 0..cols {
-            let p = [0, 1].map(|k| {
-                affine.origin[k] + i as f64 * affine.col_step[k] + j as f64 * affine.row_step[k]
-            });
+            let p = [0, 1]
+                .map(|k| affine.origin[k] + i as f64 * affine.col_step[k] + j as f64 * affine.row_step[k]);
             let h = ground(p[0] - 500_000.0, p[1] - 4_000_000.0) + lift + (r.unit() - 0.5) * noise;
             z.push(h.round() as f32);
         }

@@ -7,7 +7,12 @@ use crate::height::cells::{Block, Fill, merge};
 use crate::height::frame::CellRect;
 
 /// The cells of a survey's set inside a window, as disjoint rectangles. Cost follows the pieces, not the area.
-pub fn rects(world: &dyn World, survey: SurveyNumber, cells: Cells, window: &CellRect) -> Result<Vec<CellRect>> {
+pub fn rects(
+    world: &dyn World,
+    survey: SurveyNumber,
+    cells: Cells,
+    window: &CellRect,
+) -> Result<Vec<CellRect>> {
     let g = world.geometry(survey);
     let window = window.intersect(&g.core);
     let mut out = Vec::new();

@@ -152,8 +152,11 @@ fn cover_of(
             continue;
         }
         let frame = &world.geometry(h).frame;
-        let mut parts: Vec<CellRect> =
-            cores[k].iter().flat_map(|c| outer.iter().map(|o| c.intersect(o))).filter(|r| !r.is_empty()).collect();
+        let mut parts: Vec<CellRect> = cores[k]
+            .iter()
+            .flat_map(|c| outer.iter().map(|o| c.intersect(o)))
+            .filter(|r| !r.is_empty())
+            .collect();
         crate::height::cells::merge(&mut parts);
         out.extend(parts.iter().map(|r| frame.quad(r)));
     }

@@ -11,10 +11,10 @@ mod order;
 
 pub use order::Rank;
 
+use super::cells::{Block, Fill};
 use super::frame::{CellRect, Frame};
 use crate::base::Result;
 use crate::base::lattice::{Bounds, Quad};
-use super::cells::{Block, Fill};
 
 /// Cells across a level-0 kernel.
 pub const KERNEL: i64 = 28;

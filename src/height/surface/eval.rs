@@ -5,10 +5,8 @@ use crate::base::Result;
 use crate::base::lattice::Point;
 use crate::height::frame::{Frame, LatticeUnit};
 use crate::height::lod::cut::Cut;
-use crate::height::lod::{KERNEL, MARGIN, PatchId, Place};
+use crate::height::lod::{Geometry, KERNEL, MARGIN, PatchId, Place};
 use crate::height::patch::{Vertices, evaluate};
-use rstar::primitives::{GeomWithData, Rectangle};
-use rstar::{AABB, RTree};
 use std::sync::Arc;
 
 /// How patches are blended.
@@ -31,6 +29,8 @@ pub struct SurveyField {
     by_y: [f64; 2],
     /// Half the side of a level-0 domain, CRS units.
     half: [f64; 2],
+    /// Where core' can be, in cells, and the ring around it: lowest and highest index.
+    reach: [[f64; 2]; 2],
 }
 
 /// A patch that may contribute.
@@ -76,7 +76,90 @@ pub struct Surface {
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
     pub blend: Blend,
-    index: RTree<GeomWithData<Rectangle<[f64; 2]>, u32>>,
+    index: Buckets,
+}
+
+/// Which patches may contain a point: a uniform grid of lists, about two squares a patch.
+struct Buckets {
+    min: [f64; 2],
+    per_unit: [f64; 2],
+    count: [usize; 2],
+    /// Ends of the lists, row by row; the lists themselves, each ascending.
+    ends: Vec<u32>,
+    lists: Vec<u32>,
+}
+
+impl Buckets {
+    /// `boxes`: xmin, ymin, xmax, ymax of each patch.
+    fn new(boxes: &[[f64; 4]]) -> Buckets {
+        let b = boxes
+            .iter()
+            .fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |b, x| {
+                [b[0].min(x[0]), b[1].min(x[1]), b[2].max(x[2]), b[3].max(x[3])]
+            });
+        if boxes.is_empty() {
+            return Buckets {
+                min: [0.0; 2],
+                per_unit: [0.0; 2],
+                count: [0; 2],
+                ends: Vec::new(),
+                lists: Vec::new(),
+            };
+        }
+        let (w, h) = ((b[2] - b[0]).max(1e-12), (b[3] - b[1]).max(1e-12));
+        let squares = (2 * boxes.len()).clamp(1, 1 << 20) as f64;
+        let nx = ((squares * w / h).sqrt().ceil().clamp(1.0, squares)) as usize;
+        let ny = ((squares / nx as f64).ceil().clamp(1.0, squares)) as usize;
+        let mut grid = Buckets {
+            min: [b[0], b[1]],
+            per_unit: [nx as f64 / w, ny as f64 / h],
+            count: [nx, ny],
+            ends: vec![0; nx * ny],
+            lists: Vec::new(),
+        };
+        let spans: Vec<([usize; 2], [usize; 2])> =
+            boxes.iter().map(|x| (grid.square([x[0], x[1]]), grid.square([x[2], x[3]]))).collect();
+        for (lo, hi) in &spans {
+            for y in lo[1]..=hi[1] {
+                for x in lo[0]..=hi[0] {
+                    grid.ends[y * nx + x] += 1;
+                }
+            }
+        }
+        let mut total = 0;
+        for e in &mut grid.ends {
+            total += *e;
+            *e = total - *e;
+        }
+        grid.lists = vec![0; total as usize];
+        for (k, (lo, hi)) in spans.iter().enumerate() {
+            for y in lo[1]..=hi[1] {
+                for x in lo[0]..=hi[0] {
+                    let at = &mut grid.ends[y * nx + x];
+                    grid.lists[*at as usize] = k as u32;
+                    *at += 1;
+                }
+            }
+        }
+        grid
+    }
+
+    fn square(&self, p: [f64; 2]) -> [usize; 2] {
+        [0, 1].map(|k| {
+            let t = (p[k] - self.min[k]) * self.per_unit[k];
+            (t.max(0.0) as usize).min(self.count[k].saturating_sub(1))
+        })
+    }
+
+    fn at(&self, p: [f64; 2]) -> &[u32] {
+        if self.ends.is_empty() {
+            return &[];
+        }
+        let s = self.square(p);
+        let k = s[1] * self.count[0] + s[0];
+        let from = if k == 0 { 0 } else { self.ends[k - 1] };
+        &self.lists[from as usize..self.ends[k] as usize]
+    }
 }
 
 /// Surface, tolerance and data together: what can be asked for heights.
@@ -88,7 +171,8 @@ pub struct Sheet<'a> {
 
 impl SurveyField {
     /// `origin` in CRS units: local coordinates are taken from there, so that digits are kept.
-    pub fn new(frame: &Frame, steps: [f64; 2], accuracy: f32, unit: LatticeUnit, origin: [f64; 2]) -> SurveyField {
+    pub fn new(g: &Geometry, unit: LatticeUnit, origin: [f64; 2]) -> SurveyField {
+        let (frame, steps, accuracy) = (&g.frame, g.steps, g.accuracy);
         let size = unit.size();
         let at = Point::new((origin[0] / size).round() as i64, (origin[1] / size).round() as i64);
         let (i, j) = frame.index(at);
@@ -102,6 +186,8 @@ impl SurveyField {
             by_x: [v.y as f64 * size / d, -(u.y as f64) * size / d],
             by_y: [-(v.x as f64) * size / d, u.x as f64 * size / d],
             half: [half * steps[0], half * steps[1]],
+            reach: [[g.core.i0 - 2, g.core.j0 - 2], [g.core.i1 + 2, g.core.j1 + 2]]
+                .map(|r| r.map(|v| v as f64)),
         }
     }
 
@@ -117,21 +203,31 @@ impl SurveyField {
 
 impl Surface {
     /// Patches must be those of the needed set of the region (any superset gives the same surface).
-    pub fn new(origin: [f64; 2], unit: LatticeUnit, surveys: Vec<SurveyField>, mut patches: Vec<Patch>, blend: Blend) -> Surface {
+    pub fn new(
+        origin: [f64; 2],
+        unit: LatticeUnit,
+        surveys: Vec<SurveyField>,
+        mut patches: Vec<Patch>,
+        blend: Blend,
+    ) -> Surface {
         patches.sort_unstable_by_key(|p| p.id);
         let size = unit.size();
-        let boxes = patches.iter().enumerate().map(|(k, p)| {
-            let b = surveys[p.survey].frame.quad(&p.place.domain()).bounds();
-            let local = |x: i64, o: f64| x as f64 * size - o;
-            // A box may be a hair too large, never too small.
-            let pad = ((b.max.x - b.min.x) as f64 + (b.max.y - b.min.y) as f64) * size * 1e-6;
-            let rect = Rectangle::from_corners(
-                [local(b.min.x, origin[0]) - pad, local(b.min.y, origin[1]) - pad],
-                [local(b.max.x, origin[0]) + pad, local(b.max.y, origin[1]) + pad],
-            );
-            GeomWithData::new(rect, k as u32)
-        });
-        let index = RTree::bulk_load(boxes.collect());
+        let boxes: Vec<[f64; 4]> = patches
+            .iter()
+            .map(|p| {
+                let b = surveys[p.survey].frame.quad(&p.place.domain()).bounds();
+                let local = |x: i64, o: f64| x as f64 * size - o;
+                // A box may be a hair too large, never too small.
+                let pad = ((b.max.x - b.min.x) as f64 + (b.max.y - b.min.y) as f64) * size * 1e-6;
+                [
+                    local(b.min.x, origin[0]) - pad,
+                    local(b.min.y, origin[1]) - pad,
+                    local(b.max.x, origin[0]) + pad,
+                    local(b.max.y, origin[1]) + pad,
+                ]
+            })
+            .collect();
+        let index = Buckets::new(&boxes);
         Surface { origin, surveys, patches, blend, index }
     }
 }
@@ -146,10 +242,15 @@ struct At<T> {
 /// Memory of one thread between points.
 #[derive(Default)]
 pub(super) struct Scratch {
-    near: Vec<u32>,
     hoods: Vec<Option<((i32, i32), Arc<Hood>)>>,
-    last: std::collections::HashMap<u32, Arc<Vertices>>,
+    /// Vertices met lately, by patch number modulo their count.
+    last: Vec<Option<(u32, Arc<Vertices>)>>,
 }
+
+/// Patches whose vertices a thread keeps at hand.
+const LATELY: usize = 64;
+/// Surveys whose state at a point needs no allocation.
+const FEW: usize = 8;
 
 impl Sheet<'_> {
     /// Heights at points (CRS units), in order; `None` where there is no data.
@@ -165,7 +266,9 @@ impl Sheet<'_> {
     /// A height and who contributed to it: patch number and normalised weight, largest first.
     pub fn explain(&self, p: [f64; 2]) -> Result<Option<(Evaluation, Vec<(usize, f64)>)>> {
         let mut who = Vec::new();
-        let Some(e) = self.evaluate::<f64>(p, &mut Scratch::default(), Some(&mut who))? else { return Ok(None) };
+        let Some(e) = self.evaluate::<f64>(p, &mut Scratch::default(), Some(&mut who))? else {
+            return Ok(None);
+        };
         let sum: f64 = who.iter().map(|(_, w)| w).sum();
         who.iter_mut().for_each(|(_, w)| *w /= sum);
         who.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
@@ -184,6 +287,9 @@ impl Sheet<'_> {
     fn survey_at<T: Real>(&self, survey: usize, p: [f64; 2], s: &mut Scratch) -> Result<At<T>> {
         let f = &self.surface.surveys[survey];
         let index: [T; 2] = f.index(p);
+        if [0, 1].iter().any(|k| index[*k].value() < f.reach[0][*k] || index[*k].value() > f.reach[1][*k]) {
+            return Ok(At { index, outside: T::constant(1.0) });
+        }
         let block = index.map(|c| (c.value() / KERNEL as f64).floor());
         let key = (block[0] as i32, block[1] as i32);
         if s.hoods.len() < self.surface.surveys.len() {
@@ -211,13 +317,14 @@ impl Sheet<'_> {
     ) -> Result<Option<Evaluation>> {
         let surface = self.surface;
         let p = [point[0] - surface.origin[0], point[1] - surface.origin[1]];
-        let mut near = std::mem::take(&mut s.near);
-        near.clear();
-        near.extend(
-            surface.index.locate_in_envelope_intersecting(AABB::from_point(p)).map(|g| g.data),
-        );
-        near.sort_unstable();
-        let mut at: Vec<Option<At<T>>> = vec![None; surface.surveys.len()];
+        let near = surface.index.at(p);
+        let (mut few, mut many) = ([None; FEW], Vec::new());
+        let at: &mut [Option<At<T>>] = if surface.surveys.len() <= FEW {
+            &mut few
+        } else {
+            many.resize(surface.surveys.len(), None);
+            &mut many
+        };
         let tolerance = {
             let g = self.cut.gradient(point);
             T::with_gradient(self.cut.at(point), g[0], g[1])
@@ -227,7 +334,7 @@ impl Sheet<'_> {
         let mut reference = None;
         let mut error = f32::NEG_INFINITY;
         let mut accuracy = f32::INFINITY;
-        for &k in &near {
+        for &k in near {
             let patch = &surface.patches[k as usize];
             let survey = &surface.surveys[patch.survey];
             let here = match at[patch.survey] {
@@ -253,7 +360,7 @@ impl Sheet<'_> {
             }
             let mut weight = (wa * wb).scale(1.0 / (survey.half[0] * r * (survey.half[1] * r)));
             if surface.blend == Blend::Exact {
-                let level = self.level::<T>(patch, tolerance, p, s, &mut at)?;
+                let level = self.level::<T>(patch, tolerance, p, s, at)?;
                 if level.value() <= 0.0 {
                     continue;
                 }
@@ -262,18 +369,13 @@ impl Sheet<'_> {
             if weight.value() <= 0.0 {
                 continue;
             }
-            let z = match s.last.get(&k) {
-                Some(z) => z.clone(),
-                None => {
-                    let z = self.source.vertices(k as usize)?;
-                    if s.last.len() > 64 {
-                        s.last.clear();
-                    }
-                    s.last.insert(k, z.clone());
-                    z
-                }
+            s.last.resize(LATELY, None);
+            let slot = &mut s.last[k as usize % LATELY];
+            let z = match slot {
+                Some((n, z)) if *n == k => z,
+                _ => &slot.insert((k, self.source.vertices(k as usize)?)).1,
             };
-            let (f, fa, fb) = evaluate(&z, a.value(), b.value());
+            let (f, fa, fb) = evaluate(z, a.value(), b.value());
             let (ga, gb) = (a.gradient(), b.gradient());
             let f = T::with_gradient(f, fa * ga[0] + fb * gb[0], fa * ga[1] + fb * gb[1]);
             // Sums are taken relative to the first height: no digits are lost on high ground.
@@ -286,7 +388,6 @@ impl Sheet<'_> {
                 w.push((k as usize, weight.value()));
             }
         }
-        s.near = near;
         let Some(zero) = reference else { return Ok(None) };
         let f = sum / weights;
         let mut certified = false;

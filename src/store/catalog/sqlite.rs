@@ -52,7 +52,8 @@ impl Sqlite {
 
     /// Opens a catalog for reading. On a medium that cannot be written it is taken as unchanging.
     pub fn open_read_only(path: &Path) -> Result<Sqlite> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
+        let flags =
+            OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
         let plain = Connection::open_with_flags(path, flags).and_then(|db| {
             db.busy_timeout(BUSY)?;
             db.query_row("SELECT count(*) FROM constant", [], |_| Ok(()))?;
@@ -62,8 +63,14 @@ impl Sqlite {
             Ok(db) => db,
             Err(first) => {
                 let text = path.to_str().unwrap_or_default();
-                let uri = format!("file:{}?immutable=1", text.replace('%', "%25").replace('?', "%3f").replace('#', "%23"));
-                let wal = path.with_file_name(format!("{}-wal", path.file_name().and_then(|n| n.to_str()).unwrap_or_default()));
+                let uri = format!(
+                    "file:{}?immutable=1",
+                    text.replace('%', "%25").replace('?', "%3f").replace('#', "%23")
+                );
+                let wal = path.with_file_name(format!(
+                    "{}-wal",
+                    path.file_name().and_then(|n| n.to_str()).unwrap_or_default()
+                ));
                 // With immutable=1 a write-ahead log is not read: only right if there is none.
                 if std::fs::metadata(&wal).is_ok_and(|m| m.len() > 0) {
                     return Err(first.into());
@@ -96,7 +103,12 @@ fn refuse_newer(db: &Connection) -> Result<()> {
     let found: i64 = db
         .query_row("SELECT max(version) FROM refinery_schema_history", [], |r| r.get::<_, Option<i64>>(0))?
         .unwrap_or(0);
-    let known = embedded::migrations::runner().get_migrations().iter().map(|m| i64::from(m.version())).max().unwrap_or(0);
+    let known = embedded::migrations::runner()
+        .get_migrations()
+        .iter()
+        .map(|m| i64::from(m.version()))
+        .max()
+        .unwrap_or(0);
     if found > known {
         return Err(Error::unsupported(
             "catalog",
@@ -139,7 +151,11 @@ impl Catalog for Sqlite {
         let get = |name: &str| -> Result<i64> {
             Ok(self.db.query_row("SELECT value FROM counter WHERE name = ?1", [name], |r| r.get(0))?)
         };
-        Ok(Counters { file: get("file")? as u32, survey: get("survey")? as u32, version: get("version")? as u64 })
+        Ok(Counters {
+            file: get("file")? as u32,
+            survey: get("survey")? as u32,
+            version: get("version")? as u64,
+        })
     }
 
     fn latest(&self) -> Result<Option<Version>> {
@@ -149,7 +165,12 @@ impl Catalog for Sqlite {
 
     fn version(&self, number: u64) -> Result<Option<Version>> {
         let sql = format!("SELECT {COLUMNS} FROM version WHERE number = ?1");
-        self.db.prepare_cached(&sql)?.query_row([number as i64], version_of).optional()?.map(with_root).transpose()
+        self.db
+            .prepare_cached(&sql)?
+            .query_row([number as i64], version_of)
+            .optional()?
+            .map(with_root)
+            .transpose()
     }
 
     fn versions(&self) -> Result<Vec<Version>> {
@@ -200,7 +221,10 @@ impl Catalog for Sqlite {
         )?;
         tx.execute("INSERT INTO operation VALUES (?1, ?2)", params![v.operation, v.number as i64])?;
         for f in &c.files {
-            tx.execute("INSERT OR IGNORE INTO file VALUES (?1, ?2)", params![i64::from(f.number), f.length as i64])?;
+            tx.execute(
+                "INSERT OR IGNORE INTO file VALUES (?1, ?2)",
+                params![i64::from(f.number), f.length as i64],
+            )?;
             tx.execute(
                 "INSERT INTO version_file VALUES (?1, ?2, ?3)",
                 params![v.number as i64, i64::from(f.number), f.live as i64],

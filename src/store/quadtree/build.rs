@@ -122,7 +122,11 @@ impl<'a> Editor<'a> {
             merged.push((old, None));
         }
         merged.extend(new.map(|(r, q)| (r, Some(q))));
-        let rest = if depth < DEPTH_MAX && merged.len() > CAPACITY { merged.split_off(CAPACITY) } else { Vec::new() };
+        let rest = if depth < DEPTH_MAX && merged.len() > CAPACITY {
+            merged.split_off(CAPACITY)
+        } else {
+            Vec::new()
+        };
         node.records = merged.into_iter().map(|(r, _)| r).collect();
         if rest.is_empty() {
             return Ok(());

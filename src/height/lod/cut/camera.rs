@@ -42,13 +42,19 @@ impl Camera {
         let flat = d[0].hypot(d[1]);
         let length = flat.hypot(d[2]);
         if !(length.is_finite() && length > 0.0) {
-            return Err(Error::invalid("--look-at", "is the same point as --eye; give the point that the camera looks at"));
+            return Err(Error::invalid(
+                "--look-at",
+                "is the same point as --eye; give the point that the camera looks at",
+            ));
         }
         if !(fov_deg > 0.0 && fov_deg < 180.0) {
             return Err(Error::invalid("--fov", format!("{fov_deg} degrees; it must lie between 0 and 180")));
         }
         if viewport[0] == 0 || viewport[1] == 0 {
-            return Err(Error::invalid("--viewport", format!("{} x {} pixels is empty", viewport[0], viewport[1])));
+            return Err(Error::invalid(
+                "--viewport",
+                format!("{} x {} pixels is empty", viewport[0], viewport[1]),
+            ));
         }
         if !(pixels > 0.0 && pixels.is_finite()) {
             return Err(Error::invalid("--pixels", format!("{pixels}; it must be positive")));
@@ -231,9 +237,11 @@ mod tests {
         let mut seen = 0;
         for _ in 0..200_000 {
             let eye = [0.0, 0.0, 100.0 + 3000.0 * random(&mut s)];
-            let look = [2000.0 * random(&mut s) - 1000.0, 2000.0 * random(&mut s) - 1000.0, 3000.0 * random(&mut s)];
+            let look =
+                [2000.0 * random(&mut s) - 1000.0, 2000.0 * random(&mut s) - 1000.0, 3000.0 * random(&mut s)];
             let pixels = 0.5 + 3.0 * random(&mut s);
-            let c = Camera::new(eye, look, 20.0 + 90.0 * random(&mut s), [1280, 720], pixels, Some(20_000.0)).unwrap();
+            let c = Camera::new(eye, look, 20.0 + 90.0 * random(&mut s), [1280, 720], pixels, Some(20_000.0))
+                .unwrap();
             let z = 90.0 * random(&mut s);
             let c = c.over(0.0, 90.0);
             let p = [20_000.0 * random(&mut s) - 10_000.0, 20_000.0 * random(&mut s) - 10_000.0];
@@ -255,8 +263,9 @@ mod tests {
             let eye = [100.0, -50.0, 500.0];
             let look = [1000.0 * random(&mut s), 1000.0 * random(&mut s), 900.0 * random(&mut s)];
             let c = Camera::new(eye, look, 60.0, [800, 600], 1.0, None).unwrap().over(0.0, 200.0);
-            let pts: Vec<[f64; 2]> =
-                (0..5).map(|_| [4000.0 * random(&mut s) - 2000.0, 4000.0 * random(&mut s) - 2000.0]).collect();
+            let pts: Vec<[f64; 2]> = (0..5)
+                .map(|_| [4000.0 * random(&mut s) - 2000.0, 4000.0 * random(&mut s) - 2000.0])
+                .collect();
             let hull = Region::hull(pts).polygon;
             let (lo, hi) = c.bounds(&hull);
             for _ in 0..60 {
@@ -289,7 +298,9 @@ mod tests {
 
     #[test]
     fn a_level_camera_sees_a_plane() {
-        let c = Camera::new([0.0, 0.0, 10.0], [1.0, 0.0, 10.0], 60.0, [800, 600], 1.0, None).unwrap().over(0.0, 5.0);
+        let c = Camera::new([0.0, 0.0, 10.0], [1.0, 0.0, 10.0], 60.0, [800, 600], 1.0, None)
+            .unwrap()
+            .over(0.0, 5.0);
         let (a, b, m) = (c.at([100.0, 40.0]), c.at([300.0, -90.0]), c.at([200.0, 0.0]));
         assert!(((a + b) / 2.0 - m).abs() < 1e-9);
     }

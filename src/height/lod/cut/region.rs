@@ -18,7 +18,9 @@ impl Region {
         if points.len() < 3 {
             return Region { polygon: points };
         }
-        let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| {
+            (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        };
         let mut hull: Vec<[f64; 2]> = Vec::new();
         for pass in 0..2 {
             let start = hull.len();
