@@ -354,7 +354,7 @@ fn bad_text_files_and_questions_are_refused() {
         (vec!["patches", db, "--eye", "1,2,9", "--look-at", "5,2,3", "--pixels", "0"], vec!["pixels"]),
         (vec!["export", db, &out, "--error", "1"], vec!["out.xyz", ".glb", ".tif", ".png"]),
         (vec!["export", db, &plain, "--error", "1"], vec!["out", ".glb"]),
-        (vec!["export", db, &glb, "--error", "1", "--bbox", "0,0,1,1"], vec!["0"]),
+        (vec!["export", db, &glb, "--error", "1", "--bbox", "0,0,1,1"], vec!["region", "no data"]),
         (vec!["export", db, &glb, "--survey", "hill", "--error", "1"], vec![".tif"]),
         (vec!["export", db, &below, "--error", "1"], vec!["none"]),
         (vec!["export", db, &room.text_path("a.tif"), "--error", "1", "--step", "0"], vec!["--step"]),

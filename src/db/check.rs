@@ -320,7 +320,7 @@ fn standings(s: &Snapshot, r: &mut Report, progress: &Progress) -> Result<()> {
             .par_iter()
             .map(|(place, p, t)| -> Result<Option<String>> {
                 let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                if n % 256 == 0 {
+                if n.is_multiple_of(256) {
                     progress.step("tops", n as f64 / all.len() as f64)?;
                 }
                 let is = cutter::standing(&rules, e.number, *place, &p.fact)?;

@@ -13,7 +13,7 @@ use crate::height::frame::LatticeUnit;
 use crate::store::catalog::{Catalog, Commit, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
 use crate::store::lock::{Lease, WriterLock, leased};
-use crate::store::segment::{Files, PageRef, SegmentWriter, file_name, temporary_name};
+use crate::store::segment::{Files, PageRef, SegmentWriter, file_name};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -352,6 +352,19 @@ impl Snapshot {
     }
 }
 
+/// What a commit makes visible.
+pub(super) struct Publication<'a> {
+    /// Segments that were written for it.
+    pub segments: Vec<SegmentWriter>,
+    pub root: PageRef,
+    /// Pages of the version before that this one does not read.
+    pub dead: Vec<PageRef>,
+    /// Number of the survey that changed; 0 if none did.
+    pub survey: u32,
+    pub action: String,
+    pub operation: Option<&'a str>,
+}
+
 /// The writer's side of one commit.
 pub(super) struct Writing {
     #[allow(dead_code, reason = "held for its effect until the commit is over")]
@@ -377,11 +390,6 @@ impl Writing {
         }
     }
 
-    /// Removes a file that was being written.
-    pub fn discard(&self, db: &Db, number: u32) {
-        let _ = db.disk.remove(&temporary_name(number));
-    }
-
     /// Removes files that no version names. Skipped while a reader holds a version that the catalog has forgotten.
     pub fn sweep(&self, db: &Db) -> Result<u64> {
         let kept: Vec<u64> = self.catalog.versions()?.iter().map(|v| v.number).collect();
@@ -405,29 +413,18 @@ impl Writing {
     }
 
     /// Makes the segments durable, then commits the version that names them.
-    #[allow(clippy::too_many_arguments)]
-    pub fn publish(
-        &mut self,
-        db: &Db,
-        survey: Option<SegmentWriter>,
-        derived: SegmentWriter,
-        root: PageRef,
-        dead: Vec<PageRef>,
-        new_survey: u32,
-        action: String,
-        operation: Option<&str>,
-    ) -> Result<()> {
+    pub fn publish(&mut self, db: &Db, p: Publication) -> Result<()> {
         let mut live: HashMap<u32, (u64, u64)> =
             self.files.iter().map(|f| (f.number, (f.length, f.live))).collect();
         let mut last = self.counters.file;
-        for segment in survey.into_iter().chain([derived]) {
+        for segment in p.segments {
             let number = segment.number();
             let pages = segment.len() - crate::store::segment::HEADER_BYTES;
             let length = segment.finish(db.disk())?;
             live.insert(number, (length, pages));
             last = last.max(number);
         }
-        for page in dead {
+        for page in p.dead {
             if let Some((_, bytes)) = live.get_mut(&page.file) {
                 *bytes = bytes.saturating_sub(u64::from(page.len));
             }
@@ -442,9 +439,9 @@ impl Writing {
         let made_at = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)
             .map_or(0, |d| d.as_secs() as i64);
-        let operation = operation.map_or_else(|| format!("commit-{number}"), str::to_string);
-        let counters = Counters { file: last, survey: self.counters.survey.max(new_survey), version: number };
-        let version = Version { number, operation, made_at, action, root };
+        let operation = p.operation.map_or_else(|| format!("commit-{number}"), str::to_string);
+        let counters = Counters { file: last, survey: self.counters.survey.max(p.survey), version: number };
+        let version = Version { number, operation, made_at, action: p.action, root: p.root };
         self.catalog.commit(&Commit { version, files, counters })
     }
 }

@@ -5,13 +5,16 @@
 //! - [`query`]: patches of a region within a tolerance, differences, heights;
 //! - [`verify`]: everything that can be checked; [`fingerprint`]: one hash of the logical content.
 
+mod arrive;
 mod build;
 mod change;
 mod check;
+mod commit;
 mod database;
 mod export;
 mod fingerprint;
 mod head;
+mod leave;
 mod listing;
 pub mod query;
 mod reader;

@@ -264,7 +264,7 @@ impl<'a> Draft<'a> {
             list.par_iter()
                 .map(|(s, i, j)| {
                     let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                    if n % 1024 == 0 {
+                    if n.is_multiple_of(1024) {
                         progress.step("precedence", n as f64 / list.len() as f64)?;
                     }
                     cover::core_prime(&Rules(draft), *s, *i, *j)
@@ -413,7 +413,7 @@ impl<'a> Draft<'a> {
             let levels = gs.level_max.max(self.base.entries().get(s).map_or(0, |e| e.geometry.level_max));
             for level in 0..=levels {
                 let may_cover = gs.area(level).total_cmp(&g.area(place.level)).is_ge();
-                if !may_cover && !(better && level == 0) {
+                if !(may_cover || better && level == 0) {
                     continue;
                 }
                 let range = places_meeting(level, &window);
@@ -451,7 +451,7 @@ impl<'a> Draft<'a> {
                 .with_max_len(256)
                 .map(|(s, place, fact)| {
                     let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                    if n % 256 == 0 {
+                    if n.is_multiple_of(256) {
                         progress.step("tops", n as f64 / dirty.len() as f64)?;
                     }
                     standing(&Rules(draft), *s, *place, fact)

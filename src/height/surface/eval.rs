@@ -242,10 +242,17 @@ struct At<T> {
 /// Memory of one thread between points.
 #[derive(Default)]
 pub(super) struct Scratch {
-    hoods: Vec<Option<((i32, i32), Arc<Hood>)>>,
+    /// Per survey: the block met last.
+    hoods: Vec<Option<MetHood>>,
     /// Vertices met lately, by patch number modulo their count.
     last: Vec<Option<(u32, Arc<Vertices>)>>,
 }
+
+/// Indices of a level-0 block, and its cells.
+type MetHood = ((i32, i32), Arc<Hood>);
+
+/// An evaluation, and who contributed: patch number and weight.
+pub type Explained = (Evaluation, Vec<(usize, f64)>);
 
 /// Patches whose vertices a thread keeps at hand.
 const LATELY: usize = 64;
@@ -264,7 +271,7 @@ impl Sheet<'_> {
     }
 
     /// A height and who contributed to it: patch number and normalised weight, largest first.
-    pub fn explain(&self, p: [f64; 2]) -> Result<Option<(Evaluation, Vec<(usize, f64)>)>> {
+    pub fn explain(&self, p: [f64; 2]) -> Result<Option<Explained>> {
         let mut who = Vec::new();
         let Some(e) = self.evaluate::<f64>(p, &mut Scratch::default(), Some(&mut who))? else {
             return Ok(None);
@@ -438,8 +445,8 @@ impl Sheet<'_> {
         };
         if patch.floor && up.value() < 1.0 {
             let mut mask = one;
-            for k in 0..self.surface.surveys.len() {
-                if self.surface.surveys[k].accuracy < patch.bot {
+            for (k, survey) in self.surface.surveys.iter().enumerate() {
+                if survey.accuracy < patch.bot {
                     let here = match at[k] {
                         Some(a) => a,
                         None => *at[k].insert(self.survey_at(k, p, s)?),

@@ -1,0 +1,406 @@
+//! Files that arrive: a new survey, further tiles of one, a corrected delivery.
+
+use super::change::{Call, Ingest, Outcome, find_survey};
+use super::commit::{Plan, Retiled};
+use super::database::{Db, Policy, Writing};
+use super::head::{Declaration, Head, Tile};
+use super::root::SurveyEntry;
+use super::tile::{Directory, write_tile};
+use super::view::Tables;
+use crate::base::{Error, Result, limits};
+use crate::height::frame::{CellRect, Lattice};
+use crate::height::lod::SurveyNumber;
+use crate::height::source::SourceInfo;
+use crate::store::segment::{PageRef, Pages, SegmentKind, SegmentWriter, file_name};
+use std::collections::BTreeSet;
+
+impl Writing {
+    pub(super) fn find(&self, name: &str) -> Result<&SurveyEntry> {
+        find_survey(&self.view, name)
+    }
+
+    /// Brings files in: a new survey, tiles of one, or (`replace`) tiles of one in place of those they cover.
+    pub fn ingest(&mut self, call: &Call, mut request: Ingest, replace: bool) -> Result<Outcome> {
+        let db = call.db;
+        let first = request
+            .sources
+            .first()
+            .ok_or_else(|| Error::invalid("ingest", "no file was given"))?
+            .info()
+            .clone();
+        let mut warnings: Vec<String> = Vec::new();
+        for s in &request.sources {
+            check_source(s.info(), db, request.assume_crs)?;
+            warnings.extend(s.info().notes.iter().map(|n| format!("{}: {n}", s.info().file)));
+        }
+        let entry = request.into.as_deref().map(|n| self.find(n).cloned()).transpose()?;
+        let before = entry.as_ref().map(|e| self.view.head(e.number).cloned()).transpose()?;
+        let declaration = match &before {
+            Some(h) => {
+                agree(&h.declaration, &first, &request)?;
+                h.declaration.clone()
+            }
+            None => declare(db, &first, &request)?,
+        };
+        if request.name.is_none() && entry.is_none() && request.sources.len() > 1 {
+            warnings.push(format!(
+                "{} files make one survey, named '{}'; --name names it",
+                request.sources.len(),
+                declaration.name
+            ));
+        }
+        let existing =
+            self.view.entries().values().find(|e| entry.is_none() && e.name == declaration.name).cloned();
+        if db.policy() == Policy::Newest
+            && entry.is_none()
+            && request.date.is_none()
+            && request.precedence.is_none()
+        {
+            return Err(Error::invalid(
+                "date",
+                format!(
+                    "policy 'newest' ranks surveys by date, and '{}' has none; give --date YYYY-MM-DD (or --precedence N)",
+                    declaration.name
+                ),
+            ));
+        }
+        let needed: u64 = request
+            .sources
+            .iter()
+            .map(|s| s.info().cols * s.info().rows * s.info().sample_type.bytes() as u64)
+            .sum::<u64>();
+        self.need_space(db, needed + needed / 2 + (4 << 20))?;
+
+        let segment_number = self.next_file();
+        let mut segment = SegmentWriter::create(db.disk(), segment_number, SegmentKind::Survey)?;
+        let mut tiles: Vec<Tile> = Vec::new();
+        let (mut posts, mut voids) = (0, 0);
+        for source in &mut request.sources {
+            let info = source.info().clone();
+            if info.sample_type != declaration.sample_type
+                || info.scale * request.vertical_unit_m != declaration.scale
+                || info.offset * request.vertical_unit_m != declaration.offset
+            {
+                return Err(Error::invalid(
+                    &info.file,
+                    format!(
+                        "samples are {} (scale {}, offset {}), the survey's are {} (scale {}, offset {}); ingest it as a survey of its own",
+                        info.sample_type.name(),
+                        info.scale * request.vertical_unit_m,
+                        info.offset * request.vertical_unit_m,
+                        declaration.sample_type.name(),
+                        declaration.scale,
+                        declaration.offset
+                    ),
+                ));
+            }
+            let affine = info.affine.expect("check_source saw a georeference");
+            let at = declaration.lattice.index_of(&affine, info.cols, info.rows, &info.file)?;
+            let tile = write_tile(source.as_mut(), &declaration, at, &mut segment, call.progress)?;
+            posts += info.cols * info.rows;
+            voids += info.cols * info.rows - tile.valid;
+            if tile.valid == 0 {
+                return Err(Error::invalid(&info.file, "holds no valid sample; check --nodata"));
+            }
+            if !tiles.iter().any(|t| t.key == tile.key) {
+                tiles.push(tile);
+            }
+        }
+        // What is there already.
+        let same = |head: &Head| {
+            let have: BTreeSet<[u8; 16]> = head.tiles.iter().map(|t| t.key).collect();
+            tiles.iter().all(|t| have.contains(&t.key))
+        };
+        if let Some(e) = &existing {
+            let head = self.view.head(e.number)?;
+            if head.declaration == declaration && same(head) {
+                return self.nothing(e.clone(), posts, voids, warnings);
+            }
+            return Err(Error::invalid(
+                format!("survey '{}'", e.name),
+                "is already in the database; add tiles with --into, correct it with `terraquilt replace`, or choose another --name",
+            ));
+        }
+        if let (Some(e), Some(h)) = (&entry, &before)
+            && same(h)
+            && !replace
+        {
+            return self.nothing(e.clone(), posts, voids, warnings);
+        }
+        let survey = entry.as_ref().map_or_else(|| SurveyNumber(self.counters.survey + 1), |e| e.number);
+        let mut kept: Vec<Tile> = before.as_ref().map_or(Vec::new(), |h| h.tiles.clone());
+        let mut dirty = CellRect::new(0, 0, 0, 0);
+        let mut dead = Vec::new();
+        if replace {
+            let (leave, stay) = covered_tiles(&kept, &tiles)?;
+            if leave.iter().map(|t| t.key).collect::<BTreeSet<_>>() == tiles.iter().map(|t| t.key).collect() {
+                let e = entry.expect("replace names a survey");
+                return self.nothing(e, posts, voids, warnings);
+            }
+            for t in &leave {
+                dirty = dirty.union(&t.posts);
+                dead.extend(self.tile_pages(t)?);
+            }
+            kept = stay;
+        }
+        for t in tiles {
+            if kept.iter().all(|k| k.key != t.key) {
+                let over: Vec<&Tile> = kept.iter().filter(|k| k.posts.overlaps(&t.posts)).collect();
+                if !over.is_empty() && !replace {
+                    let unequal = self.unequal(&declaration, &segment, &t, &over)?;
+                    if unequal > 0 {
+                        warnings.push(format!(
+                            "{}: {unequal} posts differ from tiles that overlap it; the greater tile key wins there. `terraquilt replace` corrects a delivery",
+                            t.file
+                        ));
+                    }
+                }
+                dirty = dirty.union(&t.posts);
+                kept.push(t);
+            }
+        }
+        let since = entry.as_ref().map_or(self.counters.version + 1, |e| e.since);
+        let (date, precedence) = match &entry {
+            Some(e) => (request.date.or(e.date), request.precedence.or(e.precedence)),
+            None => (request.date, request.precedence),
+        };
+        let action = match (&entry, replace) {
+            (None, _) => {
+                let s = if kept.len() == 1 { "" } else { "s" };
+                format!("ingest '{}' ({} tile{s})", declaration.name, kept.len())
+            }
+            (Some(e), false) => format!("ingest tiles into '{}'", e.name),
+            (Some(e), true) => format!("replace tiles of '{}'", e.name),
+        };
+        let retiled = Retiled {
+            survey,
+            before,
+            declaration,
+            tiles: kept,
+            dirty,
+            dead,
+            segment,
+            date,
+            precedence,
+            since,
+        };
+        let mut outcome =
+            self.commit(call, Plan { retiled: Some(retiled), action, warnings, ..Plan::default() })?;
+        outcome.posts = posts;
+        outcome.voids = voids;
+        Ok(outcome)
+    }
+
+    /// Everything was there already.
+    fn nothing(&self, e: SurveyEntry, posts: u64, voids: u64, mut warnings: Vec<String>) -> Result<Outcome> {
+        warnings.push(format!("survey '{}' holds these samples already; nothing was changed", e.name));
+        Ok(Outcome {
+            survey: e.name,
+            version: self.counters.version,
+            patches: e.live + e.dormant,
+            live: e.live,
+            dormant: e.dormant,
+            posts,
+            voids,
+            warnings,
+            ..Outcome::default()
+        })
+    }
+
+    /// Posts at which a tile differs from tiles that overlap it.
+    fn unequal(
+        &self,
+        declaration: &Declaration,
+        segment: &SegmentWriter,
+        t: &Tile,
+        over: &[&Tile],
+    ) -> Result<u64> {
+        let read = |at: &PageRef, pages: &dyn Pages| Directory::decode(&pages.page(at)?, &file_name(at.file));
+        let new = read(&t.directory, segment)?;
+        let w = declaration.sample_type.bytes();
+        let mut count = 0;
+        for o in over {
+            let layered = crate::store::segment::Layered { base: &self.view.files, writing: vec![segment] };
+            let old = read(&o.directory, &layered)?;
+            let both = new.blocks.intersect(&old.blocks);
+            for bj in both.j0..both.j1 {
+                for bi in both.i0..both.i1 {
+                    let (Some((a, _)), Some((b, _))) = (new.get(bi, bj), old.get(bi, bj)) else { continue };
+                    let a = crate::height::block::decode(&layered.page(&a)?, &file_name(a.file))?;
+                    let b = crate::height::block::decode(&layered.page(&b)?, &file_name(b.file))?;
+                    for r in a.row.max(b.row)..(a.row + a.rows).min(b.row + b.rows) {
+                        for c in a.col.max(b.col)..(a.col + a.cols).min(b.col + b.cols) {
+                            let ka = (r - a.row) * a.cols + c - a.col;
+                            let kb = (r - b.row) * b.cols + c - b.col;
+                            let ok = |v: &Option<Vec<u8>>, k: usize| v.as_ref().is_none_or(|v| v[k] != 0);
+                            if ok(&a.valid, ka)
+                                && ok(&b.valid, kb)
+                                && a.samples[ka * w..(ka + 1) * w] != b.samples[kb * w..(kb + 1) * w]
+                            {
+                                count += 1;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        Ok(count)
+    }
+
+    pub(super) fn tile_pages(&self, t: &Tile) -> Result<Vec<PageRef>> {
+        let d = self.view.directory(&t.directory)?;
+        Ok(std::iter::once(t.directory).chain(d.pages.iter().map(|(p, _)| *p)).collect())
+    }
+}
+
+fn check_source(info: &SourceInfo, db: &Db, assume_crs: bool) -> Result<()> {
+    if info.affine.is_none() {
+        return Err(Error::invalid(
+            &info.file,
+            "has no georeference: where its posts lie is unknown; write one with gdal_translate -a_ullr ... -a_srs EPSG:n",
+        ));
+    }
+    if info.cols < 4 || info.rows < 4 {
+        return Err(Error::invalid(
+            &info.file,
+            format!("{} x {} posts; at least 4 x 4 are needed", info.cols, info.rows),
+        ));
+    }
+    let here = db.crs();
+    match &info.crs {
+        Some(c) if c.code == here.code => Ok(()),
+        _ if assume_crs => Ok(()),
+        Some(c) => Err(Error::unsupported(
+            &info.file,
+            format!("is in {}, the database in {}; reprojection is not there yet", c.code, here.code),
+            format!(
+                "warp it first: gdalwarp -t_srs {} IN.tif OUT.tif, or make a database with --crs {}",
+                here.code, c.code
+            ),
+        )),
+        None => Err(Error::invalid(
+            &info.file,
+            format!(
+                "does not say its CRS by an EPSG code; if it is {}, say so with --crs {}",
+                here.code, here.code
+            ),
+        )),
+    }
+}
+
+fn declare(db: &Db, first: &SourceInfo, request: &Ingest) -> Result<Declaration> {
+    let affine = first.affine.expect("check_source saw a georeference");
+    let mut lattice = Lattice::of_affine(&affine)?;
+    if let Some([sx, sy, px, py]) = request.lattice {
+        let [nx, ny] = lattice.nominal_steps();
+        if !(sx > 0.0 && sy > 0.0 && px.is_finite() && py.is_finite()) {
+            return Err(Error::invalid("--lattice", format!("steps {sx}, {sy} must be positive")));
+        }
+        lattice.col_step = lattice.col_step.map(|s| crate::base::round::significant(s / nx * sx, 12));
+        lattice.row_step = lattice.row_step.map(|s| crate::base::round::significant(s / ny * sy, 12));
+        lattice.phase = [px.rem_euclid(1.0), py.rem_euclid(1.0)];
+    }
+    let accuracy_m = match (request.accuracy_m, first.accuracy_m) {
+        (Some(a), _) => a,
+        (None, Some(a)) => a,
+        (None, None) => {
+            return Err(Error::invalid(
+                "accuracy",
+                format!(
+                    "{} does not say how accurate its heights are; give --accuracy METRES (the largest error you trust it not to exceed)",
+                    first.file
+                ),
+            ));
+        }
+    };
+    if !(0.0..=1e6).contains(&accuracy_m) {
+        return Err(Error::invalid(
+            "--accuracy",
+            format!("{accuracy_m} m; it must be between 0 and 1000000"),
+        ));
+    }
+    let name = request.name.clone().unwrap_or_else(|| {
+        std::path::Path::new(&first.file)
+            .file_stem()
+            .map_or_else(|| first.file.clone(), |s| s.to_string_lossy().into_owned())
+    });
+    if name.is_empty() || name.len() > limits::TEXT_BYTES_MAX / 4 {
+        return Err(Error::invalid("--name", format!("'{name}' is empty or too long")));
+    }
+    let frame = lattice.frame(db.unit())?;
+    Ok(Declaration {
+        name,
+        crs: db.crs().code.clone(),
+        lattice,
+        frame,
+        sample_type: first.sample_type,
+        scale: first.scale * request.vertical_unit_m,
+        offset: first.offset * request.vertical_unit_m,
+        accuracy_m,
+    })
+}
+
+/// Whether what the user says of new tiles agrees with the survey that they join.
+fn agree(d: &Declaration, first: &SourceInfo, request: &Ingest) -> Result<()> {
+    if let Some(a) = request.accuracy_m
+        && a != d.accuracy_m
+    {
+        return Err(Error::invalid(
+            "--accuracy",
+            format!(
+                "{a} m, survey '{}' declares {} m; a declaration never changes: leave it out, or ingest {} as a survey of its own",
+                d.name, d.accuracy_m, first.file
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Tiles that lie wholly inside the new rectangles leave; one that is partly covered is refused.
+fn covered_tiles(old: &[Tile], new: &[Tile]) -> Result<(Vec<Tile>, Vec<Tile>)> {
+    let (mut leave, mut stay) = (Vec::new(), Vec::new());
+    for t in old {
+        let mut rest = vec![t.posts];
+        for n in new {
+            rest = rest.iter().flat_map(|r| subtract(r, &n.posts)).collect();
+        }
+        if rest.is_empty() {
+            leave.push(t.clone());
+        } else if new.iter().any(|n| n.posts.overlaps(&t.posts)) {
+            let r: Vec<String> =
+                new.iter().filter(|n| n.posts.overlaps(&t.posts)).map(|n| show(&n.posts)).collect();
+            return Err(Error::invalid(
+                "replace",
+                format!(
+                    "tile '{}' (posts {}) is only partly covered by the new files (posts {}); deliver the whole tile, or add tiles with `ingest --into`",
+                    t.file,
+                    show(&t.posts),
+                    r.join(", ")
+                ),
+            ));
+        } else {
+            stay.push(t.clone());
+        }
+    }
+    Ok((leave, stay))
+}
+
+fn show(r: &CellRect) -> String {
+    format!("{}..{} x {}..{}", r.i0, r.i1, r.j0, r.j1)
+}
+
+fn subtract(r: &CellRect, n: &CellRect) -> Vec<CellRect> {
+    let m = r.intersect(n);
+    if m.is_empty() {
+        return vec![*r];
+    }
+    [
+        CellRect::new(r.i0, r.j0, r.i1, m.j0),
+        CellRect::new(r.i0, m.j1, r.i1, r.j1),
+        CellRect::new(r.i0, m.j0, m.i0, m.j1),
+        CellRect::new(m.i1, m.j0, r.i1, m.j1),
+    ]
+    .into_iter()
+    .filter(|x| !x.is_empty())
+    .collect()
+}
