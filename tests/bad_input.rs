@@ -341,7 +341,7 @@ fn bad_text_files_and_questions_are_refused() {
         (vec!["heights", db, "--error", "1", "5,5", "--at", "9"], vec!["version 9", "terraquilt versions"]),
         (vec!["patches", db, "--error", "1", "--bbox", "5,5,5,9"], vec!["--bbox", "empty"]),
         (vec!["patches", db, "--error", "1", "--bbox", "9,5,5,9"], vec!["--bbox", "empty"]),
-        (vec!["patches", db, "--error", "1", "--bbox", "1,2,3"], vec!["--bbox", "3 numbers"]),
+        (vec!["patches", db, "--error", "1", "--bbox", "1,2,3"], vec!["--bbox", "3 found"]),
         (vec!["patches", db, "--error", "1", "--bbox", "a,b,c,d"], vec!["--bbox", "a,b,c,d"]),
         (vec!["patches", db, "--error", "1", "--since", "7"], vec!["version 7"]),
         (vec!["patches", db, "--eye", "1,2", "--look-at", "1,2,3"], vec!["--eye"]),
@@ -565,8 +565,11 @@ fn a_second_writer_says_that_it_waits_and_then_succeeds() {
     printed(&["verify", &room.db]);
 }
 
+/// Height and error at each point, bit for bit; none outside.
+type Answer = Vec<Option<(u64, u64)>>;
+
 /// Heights on a fine raster over both surveys; an error is an answer, too.
-fn heights(s: &Snapshot, error_m: f64) -> Result<Vec<Option<(u64, u64)>>, String> {
+fn heights(s: &Snapshot, error_m: f64) -> Result<Answer, String> {
     let points: Vec<[f64; 2]> = (0..24)
         .flat_map(|a| {
             (0..16).map(move |b| [500_000.3 + 2.6 * f64::from(a), 3_999_999.7 - 2.6 * f64::from(b)])
@@ -577,7 +580,7 @@ fn heights(s: &Snapshot, error_m: f64) -> Result<Vec<Option<(u64, u64)>>, String
 }
 
 /// All that a reader may ask: heights at three tolerances, whole boxes.
-fn answers(root: &Path) -> Result<Vec<Vec<Option<(u64, u64)>>>, String> {
+fn answers(root: &Path) -> Result<Vec<Answer>, String> {
     let db = Db::open(root).map_err(|e| e.to_string())?;
     let s = db.snapshot(None).map_err(|e| e.to_string())?;
     [0.0, 1.0, 8.0].into_iter().map(|e| heights(&s, e)).collect()
@@ -600,7 +603,7 @@ fn problems(root: &Path) -> Vec<String> {
 fn two_surveys() -> (Room, Vec<PathBuf>) {
     let room = Room::with_hill();
     let holes = |i: usize, j: usize| {
-        if (i / 4 + j / 3) % 11 == 0 {
+        if (i / 4 + j / 3).is_multiple_of(11) {
             f32::NAN
         } else {
             ground(i as f64 + 30.0, j as f64).round() as f32 + 2.0
@@ -882,7 +885,7 @@ fn a_full_disk_costs_the_new_version_not_the_old_one() {
     // Said before it starts.
     disk.leave(3 << 20);
     let ingest = ["ingest", &db[..], &hill, "--accuracy", "1", "--name", "again", "--precedence", "1"];
-    complaint(&ingest, &["bytes needed", "free", "make room"]);
+    complaint(&ingest, &["MB needed", "free", "make room"]);
     assert_eq!(state(), old);
 
     // Room runs out in the middle: of a change that needs little, and of one whose room somebody else takes.

@@ -3,13 +3,25 @@
 /// Worlds, databases in temporary folders, running the program.
 mod support;
 
+/// Bad files, wrong calls, damaged, full and read-only databases: one clear line each, and nothing half done.
+mod bad_input;
+/// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
+mod crash;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
 /// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
+/// A database of each released version, opened by today's code; same bytes whatever the threads.
+mod golden;
+/// Which room may know which: the table in docs/architecture.md held against the code.
+mod house;
+/// The program killed at random moments, readers and writers.
+mod kill;
 /// The independent oracle: core', kernels, errors, tops, floors and tree from the definitions, by another method.
 mod oracle;
 /// Any order of arrival, tiles, removal: one fingerprint.
 mod order;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
+/// Meshes as GLB: within the bound, manifold, exact border.
+mod glb;

@@ -28,17 +28,31 @@ pub enum Error {
     #[error("{what}")]
     Busy { what: String },
     /// The disk has too little room.
-    #[error("{place}: {wanted} bytes needed, {free} free; make room or use another disk")]
+    #[error("{place}: {:.1} MB needed, {:.1} MB free; nothing was changed; make room or use another disk", *wanted as f64 / 1e6, *free as f64 / 1e6)]
     NoSpace { place: String, wanted: u64, free: u64 },
     /// The operating system refused.
-    #[error("{path}: {source}")]
+    #[error("{path}: {source}{}", advice(source))]
     Io { path: PathBuf, source: io::Error },
     /// The catalog (SQLite) refused.
-    #[error("catalog: {0}")]
+    #[error(
+        "catalog of the database (catalog.sqlite): {0}; make room if the disk is full, else restore it from a backup"
+    )]
     Catalog(String),
     /// The work was stopped by the caller (Ctrl-C); nothing was changed.
     #[error("stopped; nothing was changed")]
     Stopped,
+}
+
+/// What to do about an error of the operating system, where that is plain.
+fn advice(e: &io::Error) -> &'static str {
+    match e.kind() {
+        io::ErrorKind::NotFound => "; check the name",
+        io::ErrorKind::PermissionDenied => "; this user may not write there (reading may still work)",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "; nothing was changed; make room",
+        io::ErrorKind::ReadOnlyFilesystem => "; it can be read but not changed",
+        io::ErrorKind::InvalidData => "; it is not a text file",
+        _ => "",
+    }
 }
 
 impl Error {

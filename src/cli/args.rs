@@ -103,7 +103,7 @@ impl ToleranceArgs {
     pub fn get(&self) -> Result<Tolerance> {
         if let Some(e) = self.error {
             if e.is_nan() || e < 0.0 {
-                return Err(Error::invalid("--error", format!("{e} m; it must not be negative")));
+                return Err(Error::invalid("--error", format!("{e} is no error; give metres, 0 or more")));
             }
             return Ok(Tolerance::Constant(e));
         }
@@ -140,5 +140,7 @@ pub fn numbers<const N: usize>(what: &str, text: &str) -> Result<[f64; N]> {
         return Err(Error::invalid(what, format!("'{text}' holds a number that is not finite")));
     }
     let n = found.len();
-    found.try_into().map_err(|_| Error::invalid(what, format!("'{text}' has {n} numbers, {N} are needed")))
+    found.try_into().map_err(|_| {
+        Error::invalid(what, format!("'{text}': {N} numbers between commas are needed, {n} found"))
+    })
 }

@@ -118,7 +118,8 @@ impl Verify {
                 out.line(format!("{}: {}", p.place, p.what))?;
             }
             let verdict = if r.ok { "all is well" } else { "NOT well" };
-            out.line(format!("version {}: {verdict}; {}", s.number(), counts.join(", ")))?;
+            let counted = if counts.is_empty() { "nothing is in it".to_string() } else { counts.join(", ") };
+            out.line(format!("version {}: {verdict}; {counted}", s.number()))?;
         }
         out.end()?;
         Ok(r.ok)

@@ -22,6 +22,7 @@ use std::sync::atomic::Ordering;
 #[command(
     after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
 )]
+#[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "survey"])))]
 pub struct Export {
     /// Directory of the database
     db: PathBuf,
@@ -118,7 +119,11 @@ impl Export {
             }
             other => Err(Error::unsupported(
                 self.out.display(),
-                format!("ending '.{other}' is no format that is written"),
+                if other.is_empty() {
+                    "has no ending that names a format".to_string()
+                } else {
+                    format!("ending '.{other}' is no format that is written")
+                },
                 "name a .glb, .tif or .png file",
             )),
         }
@@ -160,6 +165,13 @@ impl Export {
 /// Writes a file under a temporary name beside it and renames it: never half a file.
 pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     let name = path.file_name().ok_or_else(|| Error::invalid(path.display(), "names no file"))?;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|f| !f.is_dir()) {
+        return Err(Error::missing(
+            format!("folder {}", folder.display()),
+            "make it first, or name another file",
+        ));
+    }
     let temporary = path.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
     let done =
         write(&temporary).and_then(|()| std::fs::rename(&temporary, path).map_err(|e| Error::io(path, e)));
@@ -234,6 +246,10 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
     })
 }
 
+fn no_data() -> Error {
+    Error::invalid("region", "holds no data; `terraquilt surveys` shows where the surveys are")
+}
+
 fn tif(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64> {
     let [sx, sy] = raster.step();
     let spec = GeoTiffSpec {
@@ -250,12 +266,16 @@ fn tif(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64>
     let meter = Meter::new();
     write_whole(path, |p| {
         let mut out = GeoTiffWriter::create(p, spec)?;
-        error = raster.heights(s, query, |row, rows, z| {
+        let mut any = false;
+        error = raster.heights(s, query, |row, _, z| {
             meter.report("heights", row as f64 / raster.rows as f64);
             let data: Vec<u8> = z.iter().flat_map(|v| v.to_le_bytes()).collect();
-            let _ = rows;
+            any |= z.iter().any(|v| !v.is_nan());
             out.write_rows(row as u64, &data)
         })?;
+        if !any {
+            return Err(no_data());
+        }
         out.finish().map(|_| ())
     })?;
     meter.clear();
@@ -271,6 +291,9 @@ pub fn png(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<
         z.extend_from_slice(band);
         Ok(())
     })?;
+    if z.iter().all(|v| v.is_nan()) {
+        return Err(no_data());
+    }
     let class = raster.patch_sizes(s, query)?;
     meter.clear();
     write_whole(path, |p| {

@@ -325,7 +325,10 @@ fn declare(db: &Db, first: &SourceInfo, request: &Ingest) -> Result<Declaration>
             .map_or_else(|| first.file.clone(), |s| s.to_string_lossy().into_owned())
     });
     if name.is_empty() || name.len() > limits::TEXT_BYTES_MAX / 4 {
-        return Err(Error::invalid("--name", format!("'{name}' is empty or too long")));
+        return Err(Error::invalid(
+            "--name",
+            format!("'{name}': a name has 1 to {} bytes", limits::TEXT_BYTES_MAX / 4),
+        ));
     }
     let frame = lattice.frame(db.unit())?;
     Ok(Declaration {

@@ -120,8 +120,7 @@ impl Db {
         let call = Call { db: self, operation, dry_run, progress };
         let outcome = carry_out(&mut writing, &call, change);
         if !outcome.as_ref().is_ok_and(|o| o.changed) {
-            // Whatever was being written has no name in the catalog. If this fails, the next writer does it.
-            let _ = writing.sweep(self);
+            writing.discard_temporaries(self);
         }
         let mut outcome = outcome?;
         outcome.seconds = started.elapsed().as_secs_f64();

@@ -67,6 +67,9 @@ pub struct Db {
     unit: LatticeUnit,
 }
 
+/// What an `init` may leave that was cut off.
+const LEFTOVERS: [&str; 4] = ["catalog.new", "catalog.new-wal", "catalog.new-shm", "catalog.new-journal"];
+
 fn catalog_path(root: &Path) -> PathBuf {
     root.join("catalog.sqlite")
 }
@@ -74,12 +77,17 @@ fn catalog_path(root: &Path) -> PathBuf {
 impl Db {
     /// Creates a database in a directory that does not exist or is empty.
     pub fn create(root: &Path, options: &Options) -> Result<Db> {
+        if root.is_file() {
+            return Err(Error::invalid(root.display(), "is a file; name a new directory for the database"));
+        }
         if root.exists() {
             let mut entries = std::fs::read_dir(root).map_err(|e| Error::io(root, e))?;
             if catalog_path(root).exists() {
                 return Err(Error::invalid(root.display(), "is a database already"));
             }
-            if entries.next().is_some() {
+            // What an `init` leaves that was cut off is no reason to refuse.
+            let ours = |name: &str| name == "segments" || name == "readers" || LEFTOVERS.contains(&name);
+            if !entries.all(|e| e.is_ok_and(|e| e.file_name().to_str().is_some_and(ours))) {
                 return Err(Error::invalid(root.display(), "is not empty; give a new directory"));
             }
         }
@@ -108,15 +116,28 @@ impl Db {
         .collect();
         // The catalog appears under its name only when it is complete.
         let temporary = root.join("catalog.new");
+        for leftover in LEFTOVERS {
+            let _ = std::fs::remove_file(root.join(leftover));
+        }
         drop(Sqlite::create(&temporary, &constants)?);
         std::fs::rename(&temporary, catalog_path(root)).map_err(|e| Error::io(catalog_path(root), e))?;
         sync_directory(root)?;
+        // The directory's own name has to survive, too.
+        if let Some(parent) = root.canonicalize().ok().as_deref().and_then(Path::parent) {
+            sync_directory(parent)?;
+        }
         Db::open(root)
     }
 
     /// Opens a database. Costs milliseconds and reads no survey, whatever the size.
     pub fn open(root: &Path) -> Result<Db> {
         let path = catalog_path(root);
+        if root.is_file() {
+            return Err(Error::invalid(
+                root.display(),
+                "is a file, not a database; the database's directory comes first",
+            ));
+        }
         if !path.exists() {
             return Err(Error::missing(
                 format!("database {}", root.display()),
@@ -139,9 +160,13 @@ impl Db {
                 .get(name)
                 .ok_or_else(|| Error::corrupt(&file, format!("constant '{name}'"), "is missing"))
         };
-        let format: u32 = get("format_version")?
-            .parse()
-            .map_err(|_| Error::corrupt(&file, "format_version", "is not a number"))?;
+        let format: u32 = get("format_version")?.parse().map_err(|_| {
+            Error::corrupt(
+                &file,
+                "table of constants",
+                "format_version is not a number; restore the catalog from a backup",
+            )
+        })?;
         if format > FORMAT_VERSION {
             return Err(Error::unsupported(
                 root.display(),
@@ -170,9 +195,13 @@ impl Db {
             "newest" => Policy::Newest,
             other => return Err(Error::corrupt(&file, "policy", format!("'{other}'"))),
         };
-        let exponent = get("lattice_unit_log2")?
-            .parse()
-            .map_err(|_| Error::corrupt(&file, "lattice_unit_log2", "is not a number"))?;
+        let exponent = get("lattice_unit_log2")?.parse().map_err(|_| {
+            Error::corrupt(
+                &file,
+                "table of constants",
+                "lattice_unit_log2 is not a number; restore the catalog from a backup",
+            )
+        })?;
         Ok(Db {
             root: root.to_path_buf(),
             disk,
@@ -235,11 +264,12 @@ impl Db {
                 });
             };
             let lease = Lease::take(&self.root, version.number)?;
-            // Pruned between the look and the lease? Then look again.
+            // Pruned between the look and the lease? Then look again. In this order: a version that is still there
+            // had all its files a moment ago.
+            let files = catalog.files(version.number)?;
             if catalog.version(version.number)?.is_none() {
                 continue;
             }
-            let files = catalog.files(version.number)?;
             let files = Files::new(self.disk.clone(), files.iter().map(|f| (f.number, f.length)));
             let view = View::open(files, Some(version.root))?;
             return Ok(Snapshot {
@@ -271,8 +301,8 @@ impl Db {
             version.as_ref().map(|v| v.root),
         )?;
         let counters = catalog.counters()?;
-        let writing = Writing { lock, catalog, view, version, files, counters };
-        writing.sweep(self)?;
+        let mut writing = Writing { lock, catalog, view, version, files, counters, swept: 0 };
+        writing.swept = writing.sweep(self)?;
         Ok(writing)
     }
 
@@ -293,7 +323,7 @@ impl Db {
         if !gone.is_empty() {
             writing.catalog.prune(&gone)?;
         }
-        let freed = writing.sweep(self)?;
+        let freed = writing.swept + writing.sweep(self)?;
         Ok(PruneOutcome { pruned: gone, kept_for_readers, bytes_freed: freed })
     }
 }
@@ -374,6 +404,8 @@ pub(super) struct Writing {
     pub version: Option<Version>,
     files: Vec<NamedFile>,
     pub counters: Counters,
+    /// Bytes of leftovers that were removed at the start.
+    swept: u64,
 }
 
 impl Writing {
@@ -387,6 +419,16 @@ impl Writing {
         match db.disk.free_bytes()? {
             Some(free) if free < bytes => Err(Error::NoSpace { place: db.disk.place(), wanted: bytes, free }),
             _ => Ok(()),
+        }
+    }
+
+    /// Removes what a change was writing that did not become a version: on a full disk, the room it took. Only temporary
+    /// names: after a commit that failed, whether a finished file is named is for the next writer to find out.
+    pub fn discard_temporaries(&self, db: &Db) {
+        for (name, _) in db.disk.names().unwrap_or_default() {
+            if name.ends_with(".tmp") {
+                let _ = db.disk.remove(&name);
+            }
         }
     }
 

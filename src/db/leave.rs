@@ -20,13 +20,25 @@ impl Writing {
             let head = self.view.head(e.number)?.clone();
             let found: Vec<&Tile> =
                 head.tiles.iter().filter(|t| t.id().starts_with(&tile) || t.file == tile).collect();
-            let [t] = found.as_slice() else {
-                return Err(Error::missing(
-                    format!("tile '{tile}' of survey '{}' ({} match)", e.name, found.len()),
-                    "see `terraquilt tiles`",
-                ));
+            let t = match found.as_slice() {
+                [t] => (*t).clone(),
+                [] => {
+                    return Err(Error::missing(
+                        format!("tile '{tile}' of survey '{}'", e.name),
+                        "see `terraquilt tiles`",
+                    ));
+                }
+                many => {
+                    return Err(Error::invalid(
+                        "--tile",
+                        format!(
+                            "'{tile}' fits {} tiles of '{}'; name one by its key (see `terraquilt tiles`)",
+                            many.len(),
+                            e.name
+                        ),
+                    ));
+                }
             };
-            let t = (*t).clone();
             if head.tiles.len() > 1 {
                 let number = self.next_file();
                 let segment = SegmentWriter::create(call.db.disk(), number, SegmentKind::Survey)?;

@@ -102,7 +102,7 @@ fn deep_inside_a_replacing_survey_no_replaced_one_contributes() {
         let mut old = random_grid(&mut r, "old", 120);
         old.precedence = Some(0);
         old.accuracy = [0.0, 0.5][r.below(2) as usize];
-        // A newer survey over the middle of the old one, 100 m higher, turned, without holes, worse in accuracy.
+        // A newer survey over the middle of the old one, higher, turned, without holes, less accurate.
         let middle = [0, 1].map(|k| {
             let a = &old.affine;
             a.origin[k] + old.cols as f64 / 2.0 * a.col_step[k] + old.rows as f64 / 2.0 * a.row_step[k]

@@ -1,9 +1,9 @@
-//! What the surface promises, held against its definitions (LOD-space specification, sections 5.4, 7, 9, 12 and
-//! item 7 and 8 of section 10): errors certified at every post and at a million points, no gap, no jump, the same height
-//! from any region, and equality with an evaluation that knows no index.
+//! What the surface promises, held against its definitions (LOD-space specification, sections 5.4, 7, 9, 12,
+//! and items 7 and 8 of section 10): errors certified at every post and at a million points, no gap, no jump,
+//! the same height from any region, and equality with an evaluation that knows no index.
 //!
-//! Points nearer than 1e-6 cells to a border of core' may be taken for points beyond it, as coordinates are `f64`: there
-//! only what both sides promise is asked.
+//! Points nearer than 1e-6 cells to a border of core' may be taken for points beyond it, as coordinates are
+//! `f64`: there only what both sides promise is asked.
 
 mod continuity;
 mod equality;

@@ -1,5 +1,5 @@
-//! The surface once more, from the definitions of the LOD-space specification alone: no index, no caches, exact
-//! integer positions, every live patch tried at every point.
+//! The surface once more, from the definitions of the LOD-space specification alone: no index, no caches,
+//! exact integer positions, every live patch tried at every point.
 
 use crate::oracle::overlay::{core_prime, faces};
 use crate::oracle::survey::{Cells, core, error_up};
@@ -42,7 +42,7 @@ pub struct Patch {
     pub id: String,
     pub survey: usize,
     pub bot: f64,
-    top: f64,
+    pub top: f64,
     floor: bool,
     /// Posts from one vertex to the next.
     stride: i64,
@@ -169,8 +169,8 @@ fn ramp(t: f64) -> f64 {
 }
 
 impl World {
-    /// `exact`: core' from the overlay of all lattices; else from cells that are sure, and from the printed kernels
-    /// along borders.
+    /// `exact`: core' from the overlay of all lattices; else from cells that are sure, and from the printed
+    /// kernels along borders.
     pub fn new(snapshot: Snapshot, grids: &[Grid], exact: bool) -> World {
         let rows = surveys(&snapshot).unwrap();
         let posts: Vec<OracleSurvey> = rows
@@ -242,7 +242,8 @@ impl World {
         self.z[1] - self.z[0]
     }
 
-    /// Least stated accuracy over the surveys whose core' surely holds p; whether some core' surely, perhaps does.
+    /// Least stated accuracy over the surveys whose core' surely holds p; whether some core' surely, perhaps
+    /// does.
     pub fn best(&self, p: [f64; 2]) -> (f64, bool, bool) {
         self.surveys.iter().fold((f64::INFINITY, false, false), |(e, sure, maybe), s| {
             let (inside, near) = s.surely(&s.spot(p));
@@ -306,7 +307,8 @@ impl World {
         (!found.is_empty()).then(|| (height, found.iter().map(|(k, w, _)| (*k, w / sum)).collect()))
     }
 
-    /// Points inside D_K: anywhere, at posts, on cell and kernel borders, along the rims of core', one ulp beside.
+    /// Points inside D_K: anywhere, at posts, on cell and kernel borders, along the rims of core', and one ulp
+    /// beside.
     pub fn points(&self, r: &mut Random, survey: usize, count: usize) -> Vec<[f64; 2]> {
         let s = &self.surveys[survey];
         if s.cells.is_empty() {
@@ -324,7 +326,7 @@ impl World {
                 5 => {
                     // A kernel or domain border of some level, where it is inside core'.
                     let (k, level) = (r.below(2) as usize, r.below(4));
-                    let line = (KERNEL << level) as i64;
+                    let line = KERNEL << level;
                     let shift = [0, -MARGIN, MARGIN][r.below(3) as usize] << level;
                     cell[k] = (cell[k] as f64 / line as f64).round() as i64 * line + shift;
                     part[k] = 0.0;
@@ -346,8 +348,8 @@ impl World {
     }
 }
 
-/// core' of large worlds: removed where one higher survey alone surely covers the cell, kept where some point of it
-/// is outside every higher core; what neither decides (cells along borders) is taken from the printed kernels.
+/// core' of large worlds: removed where one higher survey alone surely covers the cell, kept where some point
+/// of it is outside every higher core; what neither decides (cells along borders) is taken from the printed kernels.
 fn sure_core_prime(posts: &[OracleSurvey], cores: &[Cells], printed: &[BoxRow]) -> Vec<Cells> {
     let frame = |s: &OracleSurvey| {
         let ([ux, uy], [vx, vy]) = (s.u.map(|k| k as f64), s.v.map(|k| k as f64));

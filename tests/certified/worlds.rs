@@ -67,10 +67,10 @@ pub fn asks(world: &World) -> Vec<Ask> {
         Ask::Eye { eye, look, fov: 50.0, viewport, pixels }
     };
     let mut all: Vec<Ask> = [0.0, 1.0, 5.0, 20.0, 100.0].map(Ask::Metres).into();
-    // Few pixels and a wide view: tolerances from centimetres to tens of metres over any of the worlds.
+    // Tolerances from centimetres to tens of metres over any of the worlds.
     let pixels = (20_000.0 / w.max(h)).max(1.0);
-    all.push(eye(at(-0.1, -0.1, top), at(0.9, 0.7, top), 2.0 * pixels));
-    all.push(eye(at(0.3, 0.2, top + 0.2 * w), at(0.5, 0.6, world.z[0]), 8.0 * pixels));
+    all.push(eye(at(-0.02, -0.02, top), at(0.9, 0.7, top), 0.3 * pixels));
+    all.push(eye(at(0.3, 0.2, top + 0.2 * w), at(0.5, 0.6, world.z[0]), 1.2 * pixels));
     all
 }
 
