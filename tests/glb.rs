@@ -57,8 +57,14 @@ impl Glb {
         let mut squares: std::collections::HashMap<(i64, i64), Vec<usize>> = Default::default();
         for (n, t) in self.triangles.iter().enumerate() {
             let c = t.map(|k| self.positions[k]);
-            let lo = key([c.iter().map(|p| p[0]).fold(f64::MAX, f64::min), c.iter().map(|p| p[1]).fold(f64::MAX, f64::min)]);
-            let hi = key([c.iter().map(|p| p[0]).fold(f64::MIN, f64::max), c.iter().map(|p| p[1]).fold(f64::MIN, f64::max)]);
+            let lo = key([
+                c.iter().map(|p| p[0]).fold(f64::MAX, f64::min),
+                c.iter().map(|p| p[1]).fold(f64::MAX, f64::min),
+            ]);
+            let hi = key([
+                c.iter().map(|p| p[0]).fold(f64::MIN, f64::max),
+                c.iter().map(|p| p[1]).fold(f64::MIN, f64::max),
+            ]);
             for y in lo.1..=hi.1 {
                 for x in lo.0..=hi.0 {
                     squares.entry((x, y)).or_default().push(n);
@@ -68,10 +74,12 @@ impl Glb {
         let height = |p: &[f64; 2]| {
             squares.get(&key(*p))?.iter().find_map(|n| {
                 let [a, b, c] = self.triangles[*n].map(|k| self.positions[k]);
-                let cross = |a: [f64; 3], b: [f64; 3]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+                let cross =
+                    |a: [f64; 3], b: [f64; 3]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
                 let (u, v, w) = (cross(b, c), cross(c, a), cross(a, b));
                 let sum = u + v + w;
-                (u >= 0.0 && v >= 0.0 && w >= 0.0 && sum > 0.0).then(|| (u * a[2] + v * b[2] + w * c[2]) / sum)
+                (u >= 0.0 && v >= 0.0 && w >= 0.0 && sum > 0.0)
+                    .then(|| (u * a[2] + v * b[2] + w * c[2]) / sum)
             })
         };
         points.iter().map(height).collect()
@@ -139,7 +147,17 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         ("survey_2004-10-13_native.tif", "dome-3", "0.5", "2004-10-13"),
     ] {
         let file = bundled("st_helens").join(file);
-        printed(&["ingest", path, file.to_str().unwrap(), "--name", name, "--accuracy", accuracy, "--date", date]);
+        printed(&[
+            "ingest",
+            path,
+            file.to_str().unwrap(),
+            "--name",
+            name,
+            "--accuracy",
+            accuracy,
+            "--date",
+            date,
+        ]);
     }
     let out = folder.path().join("dome.glb");
     let bbox = [562_120.0, 5_115_450.0, 562_900.0, 5_116_350.0];
@@ -153,7 +171,10 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
     assert_eq!(extras["version"], 3);
     assert_eq!(number(&extras["error_m"]), number(&told["error_m"]));
     assert!(number(&extras["error_m"]) <= 6.0, "{extras}");
-    assert_eq!(number(&extras["error_m"]), number(&extras["surface_error_m"]) + number(&extras["mesh_error_m"]));
+    assert_eq!(
+        number(&extras["error_m"]),
+        number(&extras["surface_error_m"]) + number(&extras["mesh_error_m"])
+    );
     // The border is that of the box: a closed line.
     let border = mesh.border();
     let area: f64 = mesh
@@ -186,11 +207,17 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         let t = f64::from(k) / 100_000.0;
         let x = ((bbox[0] + t * (bbox[2] - bbox[0])) / 56.0).floor() * 56.0;
         borders.push([x, bbox[1] + r.unit() * (bbox[3] - bbox[1])]);
-        borders.push([((bbox[0] + t * (bbox[2] - bbox[0])) / 2.0).floor() * 2.0 + 1.0, bbox[1] + r.unit() * 900.0]);
+        borders.push([
+            ((bbox[0] + t * (bbox[2] - bbox[0])) / 2.0).floor() * 2.0 + 1.0,
+            bbox[1] + r.unit() * 900.0,
+        ]);
     }
-    for (what, points) in
-        [("random", &random), ("edge midpoints", &edges), ("triangle centres", &centres), ("patch borders", &borders)]
-    {
+    for (what, points) in [
+        ("random", &random),
+        ("edge midpoints", &edges),
+        ("triangle centres", &centres),
+        ("patch borders", &borders),
+    ] {
         let met = compare(&s, &mesh, 3.0, 3.0, 2.0 * 0.02, points);
         println!(
             "{what}: {} points, worst {:.4} m of 3 m, {} of them at walls (surface passes the mesh within 4 cm)",

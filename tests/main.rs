@@ -5,12 +5,16 @@ mod support;
 
 /// Bad files, wrong calls, damaged, full and read-only databases: one clear line each, and nothing half done.
 mod bad_input;
+/// What the surface promises: certified errors, no gap, no jump, equality with the definition.
+mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
 mod crash;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
 /// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
+/// Meshes as GLB: within the bound, manifold, exact border.
+mod glb;
 /// A database of each released version, opened by today's code; same bytes whatever the threads.
 mod golden;
 /// Which room may know which: the table in docs/architecture.md held against the code.
@@ -23,5 +27,3 @@ mod oracle;
 mod order;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
-/// Meshes as GLB: within the bound, manifold, exact border.
-mod glb;

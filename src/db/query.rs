@@ -151,7 +151,8 @@ impl Snapshot {
     fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
         let z = self.z_range().unwrap_or([0.0; 2]);
         match tolerance {
-            Tolerance::Constant(c) => Box::new(Constant(*c)),
+            // Without bound means: the coarsest surface there is.
+            Tolerance::Constant(c) => Box::new(Constant(c.min(f64::MAX))),
             Tolerance::Camera(c) => Box::new(c.over(z[0], z[1])),
         }
     }
@@ -393,14 +394,15 @@ impl Ground<'_> {
         self.data.surveys[self.surface.patches[patch].survey]
     }
 
-    /// Heights at points, in parallel; `None` where there is no data.
+    /// Heights at points of the region, in parallel; `None` where there is no data. The set of patches was selected for
+    /// the region: points outside of it must not be asked here.
     pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
         let parts: Vec<Vec<Option<Evaluation>>> =
             points.par_chunks(2048).map(|c| self.sheet().heights(c)).collect::<Result<_>>()?;
         Ok(parts.into_iter().flatten().collect())
     }
 
-    /// Heights with gradients, in parallel.
+    /// Heights with gradients, in parallel, for points of the region.
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
         let parts: Vec<Vec<Option<Evaluation>>> =
             points.par_chunks(2048).map(|c| self.sheet().slopes(c)).collect::<Result<_>>()?;

@@ -19,13 +19,14 @@ use rstar::{AABB, RTree};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, OnceLock};
 
-/// Footprints of surveys in an R*-tree.
+/// Cores of surveys, and the ring of one cell to which their weights reach, in an R*-tree.
 pub struct Index(RTree<GeomWithData<Rectangle<[f64; 2]>, SurveyNumber>>);
 
 impl Index {
     pub fn new<'a>(entries: impl Iterator<Item = &'a SurveyEntry>) -> Index {
         let boxes = entries.map(|e| {
-            let (min, max) = corners(&e.geometry.bounds());
+            let g = &e.geometry;
+            let (min, max) = corners(&g.frame.bounds(&g.core.grow(1)));
             GeomWithData::new(Rectangle::from_corners(min, max), e.number)
         });
         Index(RTree::bulk_load(boxes.collect()))

@@ -246,6 +246,8 @@ pub(super) struct Scratch {
     hoods: Vec<Option<MetHood>>,
     /// Vertices met lately, by patch number modulo their count.
     last: Vec<Option<(u32, Arc<Vertices>)>>,
+    /// Weights and errors of the contributors at the point.
+    shares: Vec<(f64, f32)>,
 }
 
 /// Indices of a level-0 block, and its cells.
@@ -253,6 +255,9 @@ type MetHood = ((i32, i32), Arc<Hood>);
 
 /// An evaluation, and who contributed: patch number and weight.
 pub type Explained = (Evaluation, Vec<(usize, f64)>);
+
+/// Shares of the sum of weights below this are rounding: such a patch does not count as a contributor.
+const SHARE_MIN: f64 = 1e-12;
 
 /// Patches whose vertices a thread keeps at hand.
 const LATELY: usize = 64;
@@ -340,6 +345,7 @@ impl Sheet<'_> {
         let mut sum = T::constant(0.0);
         let mut reference = None;
         let mut error = f32::NEG_INFINITY;
+        s.shares.clear();
         let mut accuracy = f32::INFINITY;
         for &k in near {
             let patch = &surface.patches[k as usize];
@@ -389,7 +395,7 @@ impl Sheet<'_> {
             let zero = *reference.get_or_insert(f.value());
             weights = weights + weight;
             sum = sum + weight * (f - T::constant(zero));
-            error = error.max(patch.bot);
+            s.shares.push((weight.value(), patch.bot));
             accuracy = accuracy.min(survey.accuracy);
             if let Some(w) = who.as_deref_mut() {
                 w.push((k as usize, weight.value()));
@@ -397,6 +403,12 @@ impl Sheet<'_> {
         }
         let Some(zero) = reference else { return Ok(None) };
         let f = sum / weights;
+        // At the edge of its support a patch may weigh a rounding error, or nothing: that must not decide the answer.
+        for (weight, bot) in &s.shares {
+            if *weight > SHARE_MIN * weights.value() {
+                error = error.max(*bot);
+            }
+        }
         let mut certified = false;
         let mut best = f32::INFINITY;
         for (k, survey) in surface.surveys.iter().enumerate() {
