@@ -1,9 +1,10 @@
 //! The database against the independent oracle and against fresh builds.
 
 use crate::oracle::{self, OracleSurvey, PatchBox};
-use crate::support::{Grid, Random, Scratch, printed, random_grid, seeds};
+use crate::support::{Grid, Random, Scratch, bundled, printed, random_grid, seeds};
 use std::collections::BTreeMap;
 use terraquilt::db::{Change, Policy, TreeNode, boxes, surveys};
+use terraquilt::height::source::Window;
 
 /// What the oracle needs to know of a survey: its frame as printed, its samples as delivered.
 fn oracle_survey(row: &serde_json::Value, grid: &Grid) -> OracleSurvey {
@@ -212,6 +213,38 @@ fn content_but_tiles(s: &Scratch) -> Vec<String> {
     let i = terraquilt::db::info(&s.db, &snapshot).unwrap();
     lines.push(format!("tree {} {} {}", i.tree_nodes, i.tree_records, i.tree_depth));
     lines
+}
+
+#[test]
+fn the_real_crater_whole_equals_it_in_nine_tiles() {
+    let mut source = terraquilt::format::open(&bundled("st_helens/survey_2000-09-25_native.tif")).unwrap();
+    let info = source.info().clone();
+    let (cols, rows) = (info.cols as usize, info.rows as usize);
+    let samples = source.read(Window { col: 0, row: 0, cols, rows }).unwrap();
+    let z: Vec<f32> =
+        samples.data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+    let z: Vec<f32> =
+        z.iter().zip(&samples.valid).map(|(z, v)| if *v == 1 { *z } else { f32::NAN }).collect();
+    let affine = info.affine.unwrap();
+    let g =
+        Grid { name: "crater".into(), cols, rows, z, affine, accuracy: 2.0, precedence: None, date: None };
+    let whole = Scratch::new(Policy::Accuracy);
+    whole.ingest(&g);
+    for seed in seeds(3) {
+        let mut r = Random::new(seed);
+        let mut tiles: Vec<Grid> = (0..9)
+            .map(|k| g.cut(101 * (k % 3), 147 * (k / 3), 101, if k / 3 == 2 { 148 } else { 147 }))
+            .collect();
+        r.shuffle(&mut tiles);
+        let s = Scratch::new(Policy::Accuracy);
+        s.ingest(&tiles[0]);
+        for t in &tiles[1..] {
+            let mut i = t.tiles_of(vec![t.source()]);
+            i.into = Some("crater".into());
+            s.change(Change::Ingest(i)).unwrap();
+        }
+        assert_eq!(content_but_tiles(&s), content_but_tiles(&whole), "seed {seed}");
+    }
 }
 
 #[test]

@@ -218,12 +218,13 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         ("triangle centres", &centres),
         ("patch borders", &borders),
     ] {
-        let met = compare(&s, &mesh, 3.0, 3.0, 2.0 * 0.02, points);
+        // The surface is taken at the accuracy of the crater, 2 m; the mesh has the other 4 m.
+        let met = compare(&s, &mesh, 2.0, 4.0, 2.0 * 0.02, points);
         println!(
-            "{what}: {} points, worst {:.4} m of 3 m, {} of them at walls (surface passes the mesh within 4 cm)",
+            "{what}: {} points, worst {:.4} m of 4 m, {} of them at walls (surface passes the mesh within 4 cm)",
             met.points, met.worst, met.at_walls
         );
-        assert!(met.worst <= 3.0, "{what}: {} m", met.worst);
+        assert!(met.worst <= 4.0, "{what}: {} m", met.worst);
         assert!(met.points * 10 > points.len() * 9, "{what}: only {} points compared", met.points);
         assert!(met.at_walls * 200 < met.points, "{what}: {} points at walls", met.at_walls);
     }

@@ -94,7 +94,7 @@ impl Export {
                     && m.error_m > asked
                 {
                     message(&format!(
-                        "note: the data there are less accurate than half of what was asked: error {:.3} m, asked {asked} m",
+                        "note: a survey there is less accurate than half of what was asked: error {:.3} m, asked {asked} m",
                         m.error_m
                     ));
                 }

@@ -67,6 +67,26 @@ pub struct Db {
     unit: LatticeUnit,
 }
 
+/// The constants that every database of this format has; a database with others is of another program.
+pub(super) fn constants_known() -> BTreeMap<&'static str, String> {
+    use crate::height::{lod, surface};
+    use crate::store::quadtree;
+    [
+        ("format_version", FORMAT_VERSION.to_string()),
+        ("derivation_version", super::root::DERIVATION_VERSION.to_string()),
+        ("world_half_log2", "60".to_string()),
+        ("tree_capacity", quadtree::CAPACITY.to_string()),
+        ("tree_depth_max", quadtree::DEPTH_MAX.to_string()),
+        ("kappa", surface::KAPPA.to_string()),
+        ("kernel", lod::KERNEL.to_string()),
+        ("margin", lod::MARGIN.to_string()),
+        ("patch", "bilinear".to_string()),
+        ("weight", "hat, unit volume".to_string()),
+        ("sharding", "0".to_string()),
+    ]
+    .into()
+}
+
 /// What an `init` may leave that was cut off.
 const LEFTOVERS: [&str; 4] = ["catalog.new", "catalog.new-wal", "catalog.new-shm", "catalog.new-journal"];
 
@@ -95,25 +115,11 @@ impl Db {
             std::fs::create_dir_all(&d).map_err(|e| Error::io(&d, e))?;
         }
         let unit = LatticeUnit::for_crs(&options.crs);
-        let constants: BTreeMap<String, String> = [
-            ("format_version", FORMAT_VERSION.to_string()),
-            ("derivation_version", super::root::DERIVATION_VERSION.to_string()),
-            ("crs", options.crs.code.clone()),
-            ("policy", options.policy.name().to_string()),
-            ("lattice_unit_log2", unit.exponent.to_string()),
-            ("world_half_log2", "60".to_string()),
-            ("tree_capacity", crate::store::quadtree::CAPACITY.to_string()),
-            ("tree_depth_max", crate::store::quadtree::DEPTH_MAX.to_string()),
-            ("kappa", crate::height::surface::KAPPA.to_string()),
-            ("kernel", crate::height::lod::KERNEL.to_string()),
-            ("margin", crate::height::lod::MARGIN.to_string()),
-            ("patch", "bilinear".to_string()),
-            ("weight", "hat, unit volume".to_string()),
-            ("sharding", "0".to_string()),
-        ]
-        .into_iter()
-        .map(|(k, v)| (k.to_string(), v))
-        .collect();
+        let mut constants: BTreeMap<String, String> =
+            constants_known().into_iter().map(|(k, v)| (k.to_string(), v)).collect();
+        constants.insert("crs".into(), options.crs.code.clone());
+        constants.insert("policy".into(), options.policy.name().into());
+        constants.insert("lattice_unit_log2".into(), unit.exponent.to_string());
         // The catalog appears under its name only when it is complete.
         let temporary = root.join("catalog.new");
         for leftover in LEFTOVERS {
@@ -174,13 +180,10 @@ impl Db {
                 "use a newer terraquilt",
             ));
         }
-        for (name, known) in [
-            ("kernel", "28"),
-            ("margin", "2"),
-            ("patch", "bilinear"),
-            ("sharding", "0"),
-            ("world_half_log2", "60"),
-        ] {
+        let known = constants_known();
+        let fixed = ["kernel", "margin", "patch", "weight", "kappa", "tree_capacity", "tree_depth_max"];
+        for name in fixed.into_iter().chain(["sharding", "world_half_log2", "derivation_version"]) {
+            let known = &known[name];
             let found = get(name)?;
             if found != known {
                 return Err(Error::unsupported(

@@ -20,6 +20,12 @@ pub fn fingerprint(s: &Snapshot) -> Result<String> {
     h.put_text(&s.crs().code);
     h.put_text(s.policy().name());
     h.put_u8(s.unit().exponent as u8);
+    for (name, value) in
+        super::database::constants_known().into_iter().filter(|(n, _)| *n != "format_version")
+    {
+        h.put_text(name);
+        h.put_text(&value);
+    }
     let mut entries: Vec<_> = s.entries().cloned().collect();
     entries.sort_by_key(|e| e.id);
     h.put_u64(entries.len() as u64);

@@ -1,6 +1,6 @@
 //! The root page of a version: its surveys and its tree. Everything of a version is reached from here.
 
-use super::head::{DeclarationId, put_rect, read_rect};
+use super::head::{DeclarationId, check_world, put_rect, read_rect};
 use crate::base::bytes::{Put, Reader};
 use crate::base::date::Date;
 use crate::base::lattice::Point;
@@ -116,7 +116,10 @@ impl Root {
             let name = r.text()?;
             let (head, tops) = (PageRef::read(&mut r)?, PageRef::read(&mut r)?);
             let date = r.text()?;
-            let date = if date.is_empty() { None } else { Some(Date::parse(&date)?) };
+            let date = match date.as_str() {
+                "" => None,
+                text => Some(Date::parse(text).map_err(|e| r.bad(e))?),
+            };
             let explicit = r.u8()? != 0;
             let value = r.i64()?;
             let mut p = || -> Result<Point> { Ok(Point::new(r.i64()?, r.i64()?)) };
@@ -129,6 +132,8 @@ impl Root {
                 return Err(r.bad("a survey's geometry is impossible"));
             }
             let core = read_rect(&mut r)?;
+            let geometry = Geometry { frame, steps, accuracy, precedence, level_max, core };
+            check_world(&geometry, &name).map_err(|e| r.bad(e))?;
             root.surveys.push(SurveyEntry {
                 number,
                 id,
@@ -137,7 +142,7 @@ impl Root {
                 tops,
                 date,
                 precedence: explicit.then_some(value),
-                geometry: Geometry { frame, steps, accuracy, precedence, level_max, core },
+                geometry,
                 z: [r.f64()?, r.f64()?],
                 live: r.u64()?,
                 dormant: r.u64()?,

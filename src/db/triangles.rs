@@ -82,8 +82,9 @@ impl Field for GroundField<'_> {
     }
 }
 
-/// Triangulates a region within a total error: half goes to the surface, half to the mesh. Where the data are less
-/// accurate than their half, the surface has the error of the best data there, and the result says so.
+/// Triangulates a region within a total error. The surface is taken at the accuracy of the least accurate survey there,
+/// which costs nothing: its certified error cannot be smaller everywhere. The mesh gets the rest. Where that accuracy is
+/// above half of what was asked, the mesh gets half and the result says what the sum is.
 pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) -> bool) -> Result<RegionMesh> {
     let Tolerance::Constant(total) = query.tolerance else {
         return Err(Error::unsupported(
@@ -95,7 +96,10 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     if !(total > 0.0 && total.is_finite()) {
         return Err(Error::invalid("--error", format!("{total} m; a mesh needs a positive error")));
     }
-    let ground = s.surface(&Query { tolerance: Tolerance::Constant(total / 2.0), ..query.clone() })?;
+    let accuracy = least_accurate(s, query.region);
+    let mesh_error_m = if accuracy <= total / 2.0 { total - accuracy } else { total / 2.0 };
+    let surface = Tolerance::Constant(accuracy.min(total / 2.0));
+    let ground = s.surface(&Query { tolerance: surface, ..query.clone() })?;
     let b = ground.selection.region.bounds();
     if !b[0].is_finite() || ground.selection.records.is_empty() {
         return Err(Error::invalid(
@@ -113,7 +117,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     });
     let polygons = outline(&quads, clip)?;
     let field = GroundField { ground: &ground, origin, scale, failed: Mutex::new(None) };
-    let mut options = MeshOptions::new(total / 2.0, step, posts.clone());
+    let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
     options.wall_m = step * WALL_STEPS;
     options.posts.extend(walls(s, b, &local)?);
     let mesh = triangulate(&field, &polygons, &options, progress);
@@ -146,6 +150,14 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     }
     let error_m = surface_error_m + mesh.error_m;
     Ok(RegionMesh { mesh, origin: [origin[0], origin[1], up], surface_error_m, error_m })
+}
+
+/// The largest accuracy number of the surveys that meet a region, metres.
+fn least_accurate(s: &Snapshot, region: Option<[f64; 4]>) -> f64 {
+    let Some(b) = region.or_else(|| s.bounds()) else { return 0.0 };
+    let rules = Rules(&s.view);
+    let met = rules.meeting(&region_bounds(b, s.unit().size()));
+    met.into_iter().map(|n| f64::from(rules.geometry(n).accuracy)).fold(0.0, f64::max)
 }
 
 type QuadsPostsStep = (Vec<[[f64; 2]; 4]>, Vec<[f64; 2]>, f64);

@@ -49,7 +49,12 @@ impl Lease {
     pub fn take(directory: &Path, version: u64) -> Result<Lease> {
         loop {
             let unique = NEXT.fetch_add(1, Ordering::Relaxed);
-            let path = directory.join("readers").join(format!("{version}-{}-{unique}", std::process::id()));
+            // Process numbers repeat across containers that share a disk; the clock tells them apart.
+            let now = std::time::SystemTime::now()
+                .duration_since(std::time::UNIX_EPOCH)
+                .map_or(0, |d| d.as_nanos());
+            let path =
+                directory.join("readers").join(format!("{version}-{}-{now}-{unique}", std::process::id()));
             let Ok(file) = OpenOptions::new().create(true).truncate(false).write(true).open(&path) else {
                 // A reader without write permission reads unprotected: after prune it may find a file gone, never
                 // a wrong height.

@@ -301,6 +301,10 @@ pub fn read_list(r: &mut Reader) -> Result<PageList> {
     let mut list = Vec::with_capacity(n);
     for _ in 0..n {
         let a = PageAddress { level: r.u8()?, i: r.i32()?, j: r.i32()? };
+        const FAR: u32 = 1 << 26;
+        if a.level > crate::height::lod::LEVEL_MAX || a.i.unsigned_abs() > FAR || a.j.unsigned_abs() > FAR {
+            return Err(r.bad(format!("page address {a:?} is out of range")));
+        }
         list.push((a, PageRef::read(r)?));
     }
     if !list.is_sorted_by(|a, b| a.0 < b.0) {

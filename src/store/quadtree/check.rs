@@ -1,6 +1,6 @@
 //! The checker of the tree: invariants Q1 to Q8 of the LOD-space specification, section 4.
 
-use super::node::{Node, Record, child_cell, root_cell};
+use super::node::{ChildRef, Node, Record, child_cell, root_cell};
 use super::{CAPACITY, DEPTH_MAX, Domains};
 use crate::base::Result;
 use crate::base::lattice::Bounds;
@@ -24,7 +24,7 @@ pub struct Stats {
 pub fn check(
     pages: &dyn Pages,
     domains: &dyn Domains,
-    root: &PageRef,
+    root: &ChildRef,
     live: &HashMap<(SurveyNumber, Place), Record>,
     problems: &mut Vec<String>,
 ) -> Result<Stats> {
@@ -34,7 +34,8 @@ pub fn check(
         v.sort_unstable_by(|a, b| a.order(b));
         v
     };
-    c.node(root, &root_cell(), 0, everything, None)?;
+    let told = Some((root.top_max, root.bot_min, root.floor));
+    c.node(&root.page, &root_cell(), 0, everything, told)?;
     c.stats.patches = c.seen.len() as u64;
     let (stats, seen) = (c.stats, c.seen);
     for (k, r) in live {
@@ -65,6 +66,10 @@ impl Checker<'_> {
         mut pending: Vec<Record>,
         told: Option<(f32, f32, bool)>,
     ) -> Result<(f32, f32, bool)> {
+        if depth > DEPTH_MAX {
+            self.problems.push(format!("a node of depth {depth}, at most {DEPTH_MAX}"));
+            return Ok(told.unwrap_or((0.0, 0.0, false)));
+        }
         let node = Node::read(self.pages, at)?;
         self.stats.nodes += 1;
         self.stats.records += node.records.len() as u64;

@@ -1,8 +1,9 @@
 //! Walking the tree: records whose box may meet a cut.
 
+use super::DEPTH_MAX;
 use super::node::{Node, Record, child_cell, root_cell};
-use crate::base::Result;
 use crate::base::lattice::Bounds;
+use crate::base::{Error, Result};
 use crate::store::segment::{PageRef, Pages};
 
 /// Visits every record that passes the pruning of section 4: in a cell where the tolerance lies in
@@ -18,7 +19,7 @@ pub fn walk(
     let cell = root_cell();
     let mut nodes = 0;
     if let Some((lo, _)) = range(&cell) {
-        descend(pages, root, &cell, lo, range, visit, &mut nodes)?;
+        descend(pages, root, (&cell, 0), lo, range, visit, &mut nodes)?;
     }
     Ok(nodes)
 }
@@ -26,12 +27,19 @@ pub fn walk(
 fn descend(
     pages: &dyn Pages,
     at: &PageRef,
-    cell: &Bounds,
+    (cell, depth): (&Bounds, u8),
     lo: f64,
     range: &mut dyn FnMut(&Bounds) -> Option<(f64, f64)>,
     visit: &mut dyn FnMut(&Record) -> Result<()>,
     nodes: &mut u64,
 ) -> Result<()> {
+    if depth > DEPTH_MAX {
+        return Err(Error::corrupt(
+            "tree",
+            at.place(),
+            format!("deeper than {DEPTH_MAX} nodes; run `terraquilt verify`"),
+        ));
+    }
     *nodes += 1;
     let node = Node::read(pages, at)?;
     for r in &node.records {
@@ -46,7 +54,7 @@ fn descend(
         let cell = child_cell(cell, k);
         let Some((lo, hi)) = range(&cell) else { continue };
         if f64::from(c.top_max) > lo && (f64::from(c.bot_min) <= hi || c.floor) {
-            descend(pages, &c.page, &cell, lo, range, visit, nodes)?;
+            descend(pages, &c.page, (&cell, depth + 1), lo, range, visit, nodes)?;
         }
     }
     Ok(())
