@@ -17,6 +17,8 @@ mod formats;
 mod glb;
 /// A database of each released version, opened by today's code; same bytes whatever the threads.
 mod golden;
+/// Histories of tiles that once went wrong, and random ones like them.
+mod histories;
 /// Which room may know which: the table in docs/architecture.md held against the code.
 mod house;
 /// The program killed at random moments, readers and writers.

@@ -3,6 +3,8 @@
 
 /// Posts in one input file (columns times rows).
 pub const POSTS_MAX: u64 = 40_000_000_000;
+/// Posts in the rectangle around all tiles of a survey, voids between them included: building it costs by that rectangle.
+pub const EXTENT_POSTS_MAX: u64 = 4_000_000_000;
 /// Columns or rows of one input file.
 pub const SIDE_MAX: u64 = 2_000_000;
 /// Posts handed over by one call of a source.

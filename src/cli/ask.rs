@@ -39,7 +39,8 @@ impl Surveys {
                     r.name.clone(),
                     r.date.clone().unwrap_or_else(|| "-".into()),
                     format!("{}", r.accuracy_m),
-                    format!("{} x {}", r.step[0], r.step[1]),
+                    r.precedence.to_string(),
+                    format!("{} x {}", short(r.step[0]), short(r.step[1])),
                     format!("{:.1}", r.rotation_deg),
                     format!("{} x {}", r.cols, r.rows),
                     r.tiles.to_string(),
@@ -67,6 +68,11 @@ impl Surveys {
         )?;
         out.end()
     }
+}
+
+/// Six significant digits, for people.
+fn short(v: f64) -> f64 {
+    crate::base::round::significant(v, 6)
 }
 
 /// List the tiles of a survey
@@ -272,6 +278,9 @@ fn patch(s: &Snapshot, r: &Record) -> Result<Value> {
 }
 
 /// Heights of the surface at points
+///
+/// Prints CSV: x,y,z,error_m. No z: no data there. A z without error_m: the outermost cell of a survey or hole, where no error
+/// is promised.
 #[derive(Args)]
 #[command(
     after_help = "Examples:\n  terraquilt heights hills --error 0 562310.5,5116320\n  terraquilt heights hills --error 1 --points stakes.csv > heights.csv\n  terraquilt heights hills --error 0 562310.5,5116320 --explain"
@@ -328,6 +337,8 @@ impl Heights {
                 continue;
             }
             match e {
+                // No error is promised in the rim: the column stays empty there.
+                Some(e) if !e.certified => out.line(format!("{},{},{},", p[0], p[1], e.z))?,
                 Some(e) => out.line(format!("{},{},{},{}", p[0], p[1], e.z, e.error_m))?,
                 None => out.line(format!("{},{},,", p[0], p[1]))?,
             }

@@ -54,10 +54,10 @@ impl InfoCommand {
             (
                 "disk",
                 format!(
-                    "{} in {} files, {} of this version, {:.3} bytes a post",
-                    bytes(i.bytes),
-                    i.files,
+                    "{} with all versions; this one reads {} in {} files, {:.3} bytes a post",
+                    bytes(i.bytes_all_versions),
                     bytes(i.bytes_live),
+                    i.files,
                     i.bytes_per_post
                 ),
             ),
@@ -167,7 +167,12 @@ impl Prune {
             out.json(&o)?;
             return out.end();
         }
-        out.line(format!("forgot {} versions, gave back {}", o.pruned.len(), bytes(o.bytes_freed)))?;
+        out.line(format!(
+            "forgot {} version{}, gave back {}",
+            o.pruned.len(),
+            if o.pruned.len() == 1 { "" } else { "s" },
+            bytes(o.bytes_freed)
+        ))?;
         if !o.kept_for_readers.is_empty() {
             out.line(format!(
                 "kept versions {:?}: somebody is reading them; prune again later",

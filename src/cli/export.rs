@@ -36,7 +36,7 @@ pub struct Export {
     #[command(flatten)]
     tolerance: OptionalTolerance,
     /// A survey's own samples instead of the surface
-    #[arg(long, value_name = "SURVEY")]
+    #[arg(long, value_name = "SURVEY", conflicts_with_all = ["error", "eye", "bbox", "step"])]
     survey: Option<String>,
     /// With --survey: this tile, by file name or key
     #[arg(long, value_name = "T", requires = "survey")]
@@ -72,9 +72,16 @@ impl Export {
                     "a survey's samples are written as .tif; name such a file",
                 ));
             }
-            let posts = survey(&s, name, self.tile.as_deref(), &self.out)?;
+            let (posts, masked) = survey(&s, name, self.tile.as_deref(), &self.out)?;
+            if masked > 0 {
+                message(&format!(
+                    "note: {} posts were void by a mask in the delivered file; their samples are written as they were, the \
+                     mask is not, so another program will take them for heights",
+                    count(masked)
+                ));
+            }
             return self.told(
-                &json!({"out": self.out, "posts": posts}),
+                &json!({"out": self.out, "posts": posts, "masked_posts": masked}),
                 &format!("{} posts as delivered", count(posts)),
             );
         }
@@ -94,8 +101,8 @@ impl Export {
                     && m.error_m > asked
                 {
                     message(&format!(
-                        "note: a survey there is less accurate than half of what was asked: error {:.3} m, asked {asked} m",
-                        m.error_m
+                        "note: the surface alone has {:.3} m there (the accuracy of its surveys); with the mesh's {:.3} m that is more than the {asked} m asked",
+                        m.surface_error_m, m.mesh_error_m
                     ));
                 }
                 self.told(&m, &text)
@@ -246,6 +253,18 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
     })
 }
 
+/// The patch sizes drawn red and blue (log2 of metres): those in the picture, at least four octaves apart, so that sizes
+/// that hardly differ are not drawn as if they did.
+fn class_range(class: &[f32]) -> [f32; 2] {
+    let found = class.iter().filter(|c| !c.is_nan());
+    let (lo, hi) = found.fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), c| (a.min(*c), b.max(*c)));
+    if !lo.is_finite() {
+        return [0.0, 4.0];
+    }
+    let (middle, half) = ((lo + hi) / 2.0, ((hi - lo) / 2.0).max(2.0));
+    [middle - half, middle + half]
+}
+
 fn no_data() -> Error {
     Error::invalid("region", "holds no data; `terraquilt surveys` shows where the surveys are")
 }
@@ -295,6 +314,7 @@ pub fn png(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<
         return Err(no_data());
     }
     let class = raster.patch_sizes(s, query)?;
+    let range = class_range(&class);
     meter.clear();
     write_whole(path, |p| {
         let mut out = create(p)?;
@@ -304,7 +324,7 @@ pub fn png(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<
             z: &z,
             cell_m: raster.cell_m(s),
             class: Some(&class),
-            class_range: None,
+            class_range: Some(range),
         };
         write_relief(&mut out, &relief)?;
         out.flush().map_err(|e| Error::io(p, e))
@@ -312,8 +332,8 @@ pub fn png(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<
     Ok(error)
 }
 
-/// A survey's tile, as it was delivered.
-fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<u64> {
+/// A survey's tile, as it was delivered. Returns its posts, and how many were void only by a mask.
+fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<(u64, u64)> {
     let entry = s.survey(name)?;
     let head = s.head(entry.number)?;
     let index = match tile {
@@ -347,10 +367,20 @@ fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<u
         scale: raw.declaration.scale,
         offset: raw.declaration.offset,
     };
+    let sample_type = raw.declaration.sample_type;
+    let mut masked = 0;
     write_whole(path, |p| {
         let mut out = GeoTiffWriter::create(p, spec)?;
-        raw.bands(|first, _, samples, _| out.write_rows(first as u64, samples))?;
+        raw.bands(|first, _, samples, valid| {
+            for (v, sample) in valid.iter().zip(samples.chunks_exact(sample_type.bytes())) {
+                let value = sample_type.value(sample);
+                let says_so = !value.is_finite()
+                    || raw.tile.nodata.is_some_and(|n| n == value || (n as f32) as f64 == value);
+                masked += u64::from(*v == 0 && !says_so);
+            }
+            out.write_rows(first as u64, samples)
+        })?;
         out.finish().map(|_| ())
     })?;
-    Ok((raw.cols() * raw.rows()) as u64)
+    Ok(((raw.cols() * raw.rows()) as u64, masked))
 }

@@ -322,13 +322,14 @@ pub struct Remove {
 impl Remove {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
-        let change = Change::Remove { surveys: self.surveys, tile: self.tile };
+        let change = Change::Remove { surveys: self.surveys, tile: self.tile.clone() };
         let o = carry_out(&db, change, self.operation.as_deref(), false)?;
         if self.json {
             return tell(&o, true, false);
         }
         let mut out = Output::new();
-        out.line(format!("made version {}: removed '{}', {:.2} s", o.version, o.survey, o.seconds))?;
+        let what = self.tile.map_or(String::new(), |t| format!("tile '{t}' of "));
+        out.line(format!("made version {}: removed {what}'{}', {:.2} s", o.version, o.survey, o.seconds))?;
         for (name, cells) in &o.flipped_cells {
             out.line(format!("  shows {} cells of '{name}' again", count(*cells)))?;
         }

@@ -40,7 +40,7 @@ impl Writing {
                 agree(&h.declaration, &first, &request)?;
                 h.declaration.clone()
             }
-            None => declare(db, &first, &request)?,
+            None => declare(db, &first, &request, &mut warnings)?,
         };
         if request.name.is_none() && entry.is_none() && request.sources.len() > 1 {
             warnings.push(format!(
@@ -74,6 +74,7 @@ impl Writing {
         let segment_number = self.next_file();
         let mut segment = SegmentWriter::create(db.disk(), segment_number, SegmentKind::Survey)?;
         let mut tiles: Vec<Tile> = Vec::new();
+        let mut dead = Vec::new();
         let (mut posts, mut voids) = (0, 0);
         for source in &mut request.sources {
             let info = source.info().clone();
@@ -102,7 +103,9 @@ impl Writing {
             if tile.valid == 0 {
                 return Err(Error::invalid(&info.file, "holds no valid sample; check --nodata"));
             }
-            if !tiles.iter().any(|t| t.key == tile.key) {
+            if tiles.iter().any(|t| t.key == tile.key) {
+                dead.extend(pages_in(&segment, &tile)?);
+            } else {
                 tiles.push(tile);
             }
         }
@@ -130,7 +133,6 @@ impl Writing {
         let survey = entry.as_ref().map_or_else(|| SurveyNumber(self.counters.survey + 1), |e| e.number);
         let mut kept: Vec<Tile> = before.as_ref().map_or(Vec::new(), |h| h.tiles.clone());
         let mut dirty = CellRect::new(0, 0, 0, 0);
-        let mut dead = Vec::new();
         if replace {
             let (leave, stay) = covered_tiles(&kept, &tiles)?;
             if leave.iter().map(|t| t.key).collect::<BTreeSet<_>>() == tiles.iter().map(|t| t.key).collect() {
@@ -157,6 +159,8 @@ impl Writing {
                 }
                 dirty = dirty.union(&t.posts);
                 kept.push(t);
+            } else {
+                dead.extend(pages_in(&segment, &t)?);
             }
         }
         let since = entry.as_ref().map_or(self.counters.version + 1, |e| e.since);
@@ -253,6 +257,12 @@ impl Writing {
     }
 }
 
+/// Pages of a tile in the segment being written.
+fn pages_in(segment: &SegmentWriter, t: &Tile) -> Result<Vec<PageRef>> {
+    let d = Directory::decode(&segment.page(&t.directory)?, &file_name(t.directory.file))?;
+    Ok(std::iter::once(t.directory).chain(d.pages.iter().map(|(p, _)| *p)).collect())
+}
+
 fn check_source(info: &SourceInfo, db: &Db, assume_crs: bool) -> Result<()> {
     if info.affine.is_none() {
         return Err(Error::invalid(
@@ -288,7 +298,7 @@ fn check_source(info: &SourceInfo, db: &Db, assume_crs: bool) -> Result<()> {
     }
 }
 
-fn declare(db: &Db, first: &SourceInfo, request: &Ingest) -> Result<Declaration> {
+fn declare(db: &Db, first: &SourceInfo, request: &Ingest, warnings: &mut Vec<String>) -> Result<Declaration> {
     let affine = first.affine.expect("check_source saw a georeference");
     let mut lattice = Lattice::of_affine(&affine)?;
     if let Some([sx, sy, px, py]) = request.lattice {
@@ -302,7 +312,14 @@ fn declare(db: &Db, first: &SourceInfo, request: &Ingest) -> Result<Declaration>
     }
     let accuracy_m = match (request.accuracy_m, first.accuracy_m) {
         (Some(a), _) => a,
-        (None, Some(a)) => a,
+        (None, Some(a)) => {
+            let product = first.product.unwrap_or("product");
+            warnings.push(format!(
+                "{}: accuracy {a} m, that of {product}; --accuracy says otherwise",
+                first.file
+            ));
+            a
+        }
         (None, None) => {
             return Err(Error::invalid(
                 "accuracy",

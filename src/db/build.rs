@@ -7,13 +7,13 @@ use super::change::Progress;
 use super::head::{Declaration, Head, Tile};
 use super::reader::{BlockCache, SampleReader};
 use super::tile::{Directory, blocks_of};
-use crate::base::{Error, Result};
-use crate::height::block::{BLOCK, RawBlock, decode, encode};
+use crate::base::{Error, Result, limits};
+use crate::height::block::{BLOCK, RawBlock, encode};
 use crate::height::cells::{Block, Fill};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Fact, LEVEL_MAX, Place, places_meeting, places_touching_posts};
 use crate::height::patch::{Residuals, bottom, id};
-use crate::store::segment::{Layered, PageRef, Pages, SegmentWriter, file_name};
+use crate::store::segment::{Layered, PageRef, SegmentWriter};
 use crate::store::table::{PageAddress, PatchEntry, PatchPage, block_slot, slot};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -55,6 +55,19 @@ pub fn build(
     out: &mut SegmentWriter,
     progress: &Progress,
 ) -> Result<Built> {
+    let extent =
+        input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts)).union(&input.dirty);
+    let span = extent.width() as u64 * extent.height() as u64;
+    if span > limits::EXTENT_POSTS_MAX {
+        return Err(Error::limit(
+            format!(
+                "posts in the rectangle around all tiles of '{}' (tiles far apart are surveys of their own)",
+                input.declaration.name
+            ),
+            limits::EXTENT_POSTS_MAX,
+            span,
+        ));
+    }
     let mut b = Builder { input, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
     b.core(base, out)?;
     let core = b.core_rect()?;
@@ -133,7 +146,7 @@ impl Builder<'_> {
         &self,
         base: &crate::store::segment::Files,
         out: &SegmentWriter,
-        f: impl FnOnce(&SampleReader, &dyn Pages) -> Result<R>,
+        f: impl FnOnce(&SampleReader) -> Result<R>,
     ) -> Result<R> {
         let pages = Layered { base, writing: vec![out] };
         let levels = |level: u8, bi: i64, bj: i64| -> Result<Option<PageRef>> {
@@ -151,7 +164,7 @@ impl Builder<'_> {
             cache: self.input.cache,
             stamp: self.input.stamp,
         };
-        f(&reader, &pages)
+        f(&reader)
     }
 
     /// Level-0 core cells of the places whose cells may have changed.
@@ -160,7 +173,7 @@ impl Builder<'_> {
         // A cell is core by the 4 x 4 posts around it.
         let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
         let range = places_meeting(0, &cells);
-        let found: Vec<Vec<(Place, Block)>> = self.with_reader(base, out, |reader, _| {
+        let found: Vec<Vec<(Place, Block)>> = self.with_reader(base, out, |reader| {
             (range.j0..range.j1)
                 .into_par_iter()
                 .map(|j| {
@@ -294,10 +307,10 @@ impl Builder<'_> {
         let blocks = blocks_of(&Self::vertices_near(&posts, level));
         for bj in blocks.j0..blocks.j1 {
             progress.check()?;
-            let row: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader, pages| {
+            let row: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader| {
                 (blocks.i0..blocks.i1)
                     .into_par_iter()
-                    .map(|bi| Ok(decimate(reader, pages, level, bi, bj, &all)?.map(|b| encode(&b))))
+                    .map(|bi| Ok(decimate(reader, level, bi, bj, &all)?.map(|b| encode(&b))))
                     .collect()
             })?;
             for (k, bytes) in row.into_iter().enumerate() {
@@ -333,12 +346,12 @@ impl Builder<'_> {
     ) -> Result<()> {
         let all = self.posts();
         let ranges: Vec<CellRect> = (0..=level_max).map(|l| self.dirty_places(l, &all)).collect();
-        let deltas = self.with_reader(base, out, |reader, _| errors(reader, &ranges, &all, progress))?;
+        let deltas = self.with_reader(base, out, |reader| errors(reader, &ranges, &all, progress))?;
         let declaration_id = self.input.declaration.id();
         let accuracy = self.input.declaration.accuracy_m;
         for level in 0..=level_max {
             let range = ranges[level as usize];
-            let rows: Vec<Vec<(Place, Fact)>> = self.with_reader(base, out, |reader, _| {
+            let rows: Vec<Vec<(Place, Fact)>> = self.with_reader(base, out, |reader| {
                 (range.j0..range.j1)
                     .into_par_iter()
                     .map(|j| {
@@ -427,14 +440,7 @@ fn page_places(at: PageAddress) -> impl Iterator<Item = (i32, i32)> {
 }
 
 /// One block of a level: every other vertex of the level below, with fills. `None` if nothing is in it.
-fn decimate(
-    reader: &SampleReader,
-    pages: &dyn Pages,
-    level: u8,
-    bi: i64,
-    bj: i64,
-    all: &CellRect,
-) -> Result<Option<RawBlock>> {
+fn decimate(reader: &SampleReader, level: u8, bi: i64, bj: i64, all: &CellRect) -> Result<Option<RawBlock>> {
     const N: usize = BLOCK as usize;
     let t = reader.declaration.sample_type;
     let w = t.bytes();
@@ -446,7 +452,7 @@ fn decimate(
             if reader.valid_at_most(ci, cj) == 0 { Vec::new() } else { reader.tile_blocks(ci, cj)? }
         } else {
             match (reader.levels)(level - 1, ci, cj)? {
-                Some(at) => vec![decode(&pages.page(&at)?, &file_name(at.file))?],
+                Some(at) => vec![reader.raw(&at)?],
                 None => Vec::new(),
             }
         };
@@ -464,33 +470,42 @@ fn decimate(
             }
         }
     }
-    // The vertices that exist: within a step of the posts.
+    // The smallest rectangle that holds every vertex with a sample or a fill: a function of the samples near.
     let near = Builder::vertices_near(all, level);
     let own = CellRect::new(bi * BLOCK, bj * BLOCK, (bi + 1) * BLOCK, (bj + 1) * BLOCK).intersect(&near);
-    if own.is_empty() {
+    let mut filled = vec![None; N * N];
+    let mut held = CellRect::new(0, 0, 0, 0);
+    for j in own.j0..own.j1 {
+        for i in own.i0..own.i1 {
+            let (a, b) = (i - bi * BLOCK, j - bj * BLOCK);
+            let k = (b * BLOCK + a) as usize;
+            if valid[k] == 0 {
+                filled[k] = fill(reader, level, i, j, all)?;
+            }
+            if valid[k] != 0 || filled[k].is_some() {
+                held = held.union(&CellRect::new(a, b, a + 1, b + 1));
+            }
+        }
+    }
+    if held.is_empty() {
         return Ok(None);
     }
-    let (col, row) = ((own.i0 - bi * BLOCK) as usize, (own.j0 - bj * BLOCK) as usize);
-    let (cols, rows) = (own.width() as usize, own.height() as usize);
+    let (col, row) = (held.i0 as usize, held.j0 as usize);
+    let (cols, rows) = (held.width() as usize, held.height() as usize);
     let mut cut_samples = Vec::with_capacity(cols * rows * w);
     let mut cut_valid = Vec::with_capacity(cols * rows);
     let mut fills = Vec::new();
-    let mut any = false;
     for b in row..row + rows {
         cut_samples.extend_from_slice(&samples[(b * N + col) * w..(b * N + col + cols) * w]);
         cut_valid.extend_from_slice(&valid[b * N + col..b * N + col + cols]);
-        for a in col..col + cols {
-            if valid[b * N + a] != 0 {
-                any = true;
-                continue;
+        for k in b * N + col..b * N + col + cols {
+            if valid[k] == 0 {
+                fills.push(filled[k].unwrap_or(0.0));
             }
-            let f = fill(reader, level, bi * BLOCK + a as i64, bj * BLOCK + b as i64, all)?;
-            any |= f.is_some();
-            fills.push(f.unwrap_or(0.0));
         }
     }
     let voids = !fills.is_empty();
-    Ok(any.then_some(RawBlock {
+    Ok(Some(RawBlock {
         col,
         row,
         cols,

@@ -108,6 +108,12 @@ impl Db {
         waiting: &mut dyn FnMut(),
     ) -> Result<Outcome> {
         let started = std::time::Instant::now();
+        if operation.is_some_and(|o| o.is_empty() || o.starts_with("commit-")) {
+            return Err(Error::invalid(
+                "--operation",
+                "give an id of your own; those that begin with 'commit-' are the program's",
+            ));
+        }
         let mut writing = self.begin(waiting)?;
         if let Some(op) = operation
             && let Some(version) = writing.catalog.operation(op)?

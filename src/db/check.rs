@@ -95,7 +95,7 @@ fn pages(db: &Db, s: &Snapshot, root: PageRef, r: &mut Report) -> Result<()> {
     let view = &s.view;
     for (number, _) in view.files.lengths() {
         r.count("files", 1);
-        let opened = view.files.bytes(number).map(|_| ());
+        let opened = view.files.check_header(number);
         r.found(file_name(number), opened)?;
     }
     let mut touch = |r: &mut Report, at: &PageRef, what: &str| -> Result<()> {

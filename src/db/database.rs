@@ -8,7 +8,7 @@
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
-use crate::height::crs::Crs;
+use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::LatticeUnit;
 use crate::store::catalog::{Catalog, Commit, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
@@ -118,6 +118,7 @@ impl Db {
         let mut constants: BTreeMap<String, String> =
             constants_known().into_iter().map(|(k, v)| (k.to_string(), v)).collect();
         constants.insert("crs".into(), options.crs.code.clone());
+        constants.insert("crs_unit".into(), options.crs.unit.to_string());
         constants.insert("policy".into(), options.policy.name().into());
         constants.insert("lattice_unit_log2".into(), unit.exponent.to_string());
         // The catalog appears under its name only when it is complete.
@@ -205,11 +206,19 @@ impl Db {
                 "lattice_unit_log2 is not a number; restore the catalog from a backup",
             )
         })?;
+        // As it was looked up when the database was made: opening needs no registry.
+        let unit = AxisUnit::parse(get("crs_unit")?).ok_or_else(|| {
+            Error::corrupt(
+                &file,
+                "table of constants",
+                "crs_unit is no unit; restore the catalog from a backup",
+            )
+        })?;
         Ok(Db {
             root: root.to_path_buf(),
             disk,
             catalog,
-            crs: Crs::parse(get("crs")?)?,
+            crs: Crs { code: get("crs")?.clone(), unit },
             policy,
             unit: LatticeUnit { exponent },
         })

@@ -2,7 +2,7 @@
 
 use super::database::Snapshot;
 use super::head::{Declaration, Tile};
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::height::block::{BLOCK, decode};
 use crate::height::lod::SurveyNumber;
 use crate::store::segment::{Pages, file_name};
@@ -44,6 +44,15 @@ impl RawTile<'_> {
             for bi in directory.blocks.i0..directory.blocks.i1 {
                 let Some((at, _)) = directory.get(bi, bj) else { continue };
                 let raw = decode(&view.files.page(&at)?, &file_name(at.file))?;
+                let (i0, j1) = (bi * BLOCK + raw.col as i64, bj * BLOCK + (raw.row + raw.rows) as i64);
+                let held = i0 >= posts.i0 && i0 + raw.cols as i64 <= posts.i1 && j1 <= j0 + rows as i64;
+                if raw.sample_type != self.declaration.sample_type || !held {
+                    return Err(Error::corrupt(
+                        file_name(at.file),
+                        at.place(),
+                        "is not a block of this tile",
+                    ));
+                }
                 let c0 = (bi * BLOCK + raw.col as i64 - posts.i0) as usize;
                 for r in 0..raw.rows.min(rows) {
                     let (to, from) = (r * cols + c0, r * raw.cols);

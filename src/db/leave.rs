@@ -96,7 +96,14 @@ impl Writing {
                 ..Outcome::default()
             });
         }
-        let action = format!("set '{}'", e.name);
+        let mut said = Vec::new();
+        if new.date != e.date {
+            said.extend(new.date.map(|d| format!("date {d}")));
+        }
+        if new.precedence != e.precedence {
+            said.extend(new.precedence.map(|p| format!("precedence {p}")));
+        }
+        let action = format!("set '{}': {}", e.name, said.join(", "));
         self.commit(call, Plan { attributes: vec![new], action, ..Plan::default() })
     }
 

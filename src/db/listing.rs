@@ -159,6 +159,8 @@ pub struct Info {
     pub bytes: u64,
     pub bytes_live: u64,
     pub bytes_per_post: f64,
+    /// Bytes of the segments of every version that is kept; `prune` gives back what only older ones read.
+    pub bytes_all_versions: u64,
 }
 
 /// Gathers sizes and counts. Walks the whole tree.
@@ -188,6 +190,7 @@ pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
         bytes: 0,
         bytes_live: 0,
         bytes_per_post: 0.0,
+        bytes_all_versions: db.catalog_for_reading()?.all_files()?.iter().map(|(_, len)| len).sum(),
     };
     for e in s.entries() {
         let head = s.view.head(e.number)?;

@@ -279,6 +279,11 @@ impl Snapshot {
         tolerance: &Tolerance,
         blend: Blend,
     ) -> Result<Vec<Option<Evaluation>>> {
+        if let Tolerance::Constant(c) = tolerance
+            && (c.is_nan() || *c < 0.0)
+        {
+            return Err(Error::invalid("tolerance", format!("{c} is no error; give metres, 0 or more")));
+        }
         let mut out = vec![None; points.len()];
         let mut order: Vec<usize> =
             (0..points.len()).filter(|k| points[*k].iter().all(|v| v.is_finite())).collect();

@@ -2,7 +2,7 @@
 
 use super::head::{Declaration, Tile};
 use super::tile::Directory;
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::height::block::{BLOCK, Heights, RawBlock, decode};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Place, SIDE};
@@ -49,12 +49,26 @@ pub struct SampleReader<'a> {
 }
 
 impl SampleReader<'_> {
+    /// A block as stored, of the survey's sample type.
+    pub fn raw(&self, at: &PageRef) -> Result<RawBlock> {
+        let raw = decode(&self.pages.page(at)?, &file_name(at.file))?;
+        let declared = self.declaration.sample_type;
+        if raw.sample_type != declared {
+            return Err(Error::corrupt(
+                file_name(at.file),
+                at.place(),
+                format!("holds {} samples, the survey has {}", raw.sample_type.name(), declared.name()),
+            ));
+        }
+        Ok(raw)
+    }
+
     /// Raw blocks of the tiles at a level-0 block, least key first: laid in this order the greatest key wins.
     pub fn tile_blocks(&self, bi: i64, bj: i64) -> Result<Vec<RawBlock>> {
         let mut out = Vec::new();
         for (_, directory) in self.tiles.iter().rev() {
             if let Some((at, _)) = directory.get(bi, bj) {
-                out.push(decode(&self.pages.page(&at)?, &file_name(at.file))?);
+                out.push(self.raw(&at)?);
             }
         }
         Ok(out)
@@ -78,7 +92,7 @@ impl SampleReader<'_> {
                 h.lay(&raw, scale, offset);
             }
         } else if let Some(at) = (self.levels)(level, bi, bj)? {
-            h.lay(&decode(&self.pages.page(&at)?, &file_name(at.file))?, scale, offset);
+            h.lay(&self.raw(&at)?, scale, offset);
         }
         let h = Arc::new(h);
         self.cache.insert(key, h.clone());

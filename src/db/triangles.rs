@@ -83,8 +83,8 @@ impl Field for GroundField<'_> {
 }
 
 /// Triangulates a region within a total error. The surface is taken at the accuracy of the least accurate survey there,
-/// which costs nothing: its certified error cannot be smaller everywhere. The mesh gets the rest. Where that accuracy is
-/// above half of what was asked, the mesh gets half and the result says what the sum is.
+/// which costs nothing: its certified error cannot be smaller everywhere. The mesh gets the rest. Where that leaves less than
+/// a tenth, the mesh gets half of what was asked, and the result says what the sum is.
 pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) -> bool) -> Result<RegionMesh> {
     let Tolerance::Constant(total) = query.tolerance else {
         return Err(Error::unsupported(
@@ -97,8 +97,9 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
         return Err(Error::invalid("--error", format!("{total} m; a mesh needs a positive error")));
     }
     let accuracy = least_accurate(s, query.region);
-    let mesh_error_m = if accuracy <= total / 2.0 { total - accuracy } else { total / 2.0 };
-    let surface = Tolerance::Constant(accuracy.min(total / 2.0));
+    let enough = accuracy <= total * 0.9;
+    let mesh_error_m = if enough { total - accuracy } else { total / 2.0 };
+    let surface = Tolerance::Constant(accuracy.min(total));
     let ground = s.surface(&Query { tolerance: surface, ..query.clone() })?;
     let b = ground.selection.region.bounds();
     if !b[0].is_finite() || ground.selection.records.is_empty() {

@@ -240,9 +240,12 @@ impl<'a> Draft<'a> {
                 work.entry(*s).or_default().extend(places.iter().copied());
             }
             let g = self.geometry_either(*s);
+            // Where its core is or was: a tile may have left.
+            let reach =
+                self.base.entries().get(s).map_or(g.bounds(), |e| e.geometry.bounds().union(&g.bounds()));
             let rank = ranks[s];
             for (h, e) in &self.entries {
-                if h == s || e.geometry.precedence >= rank || !e.geometry.bounds().overlaps(&g.bounds()) {
+                if h == s || e.geometry.precedence >= rank || !e.geometry.bounds().overlaps(&reach) {
                     continue;
                 }
                 let set = work.entry(*h).or_default();
@@ -278,7 +281,16 @@ impl<'a> Draft<'a> {
             let k = slot(place);
             let (was, entry) =
                 self.top_page(*s, at)?.map_or((Block::EMPTY, None), |p| (p.block(k), p.tops[k]));
-            let Some(entry) = entry else { continue };
+            let Some(entry) = entry else {
+                // The place went: its cells left every rectangle above it.
+                if self.base.entries().contains_key(s)
+                    && self.base.top(*s, place)?.is_some_and(|t| t.kernel != Fill::Empty)
+                {
+                    flipped.entry(*s).or_default().insert(place);
+                    out.flips.entry(*s).or_default().insert((*i, *j));
+                }
+                continue;
+            };
             if was == block && entry.kernel == block.fill() {
                 continue;
             }

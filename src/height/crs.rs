@@ -13,6 +13,26 @@ pub enum AxisUnit {
     Degree,
 }
 
+impl AxisUnit {
+    /// Reads what [`AxisUnit`] prints.
+    pub fn parse(text: &str) -> Option<AxisUnit> {
+        match text {
+            "degree" => Some(AxisUnit::Degree),
+            _ => text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0).map(AxisUnit::Metre),
+        }
+    }
+}
+
+/// `degree`, or the metres of one unit.
+impl std::fmt::Display for AxisUnit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            AxisUnit::Metre(m) => write!(f, "{m}"),
+            AxisUnit::Degree => write!(f, "degree"),
+        }
+    }
+}
+
 /// A coordinate reference system, by authority and code (`EPSG:32610`).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Crs {
@@ -43,8 +63,8 @@ impl Crs {
         if !authority.eq_ignore_ascii_case("epsg") {
             return Err(Error::unsupported(
                 text,
-                "only EPSG codes are understood so far",
-                "give --crs EPSG:n, or warp the grid into an EPSG system first",
+                "only EPSG codes are understood so far, written EPSG:n",
+                "give --crs EPSG:n (with the letters), or warp the grid into an EPSG system first",
             ));
         }
         let n = code

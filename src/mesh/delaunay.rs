@@ -131,6 +131,7 @@ pub fn triangulate(
 
     let Extract { positions, triangles } = extract(&tin);
     within_limit(positions.len())?;
+    whole(region, &positions, &triangles)?;
     let (error_m, measured_points) = tin.error();
     drop(tin);
     let mut normals = Vec::with_capacity(positions.len());
@@ -140,6 +141,26 @@ pub fn triangulate(
         look(0.99)?;
     }
     Ok(Mesh { positions, normals, triangles, error_m, measured_points })
+}
+
+/// A mesh covers its region: a guard against faults of ours, since an error is measured only where triangles are.
+fn whole(region: &[Polygon], positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Result<()> {
+    let wanted: f64 = region.iter().map(Polygon::area).sum();
+    let doubled = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|k| positions[k as usize]);
+        (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+    };
+    let found: f64 = triangles.iter().map(doubled).sum::<f64>() / 2.0;
+    if (found - wanted).abs() > 1e-3 * wanted {
+        return Err(Error::corrupt(
+            "mesh",
+            "triangulation",
+            format!(
+                "covers {found:.1} of {wanted:.1} square metres; nothing was written, please report this"
+            ),
+        ));
+    }
+    Ok(())
 }
 
 /// Inserts sites, worst first, and splits the border edges that stand in the way, until no site is above

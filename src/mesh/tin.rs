@@ -179,12 +179,22 @@ impl Tin {
         let (x, y) = (self.snap(x), self.snap(y));
         let hint = handle(self.facets[facet as usize].corners[0]);
         let place = self.cdt.locate_with_hint(Point2::new(x, y), hint);
-        let around = match place {
-            PositionInTriangulation::OnFace(face) => Some(face.index()),
-            PositionInTriangulation::OnEdge(_) => Some(facet as usize),
-            _ => None,
+        let allowed = match place {
+            PositionInTriangulation::OnFace(face) => self.is_clear(face.index(), [x, y]),
+            PositionInTriangulation::OnEdge(edge) => {
+                let edge = self.cdt.directed_edge(edge);
+                let (a, b) = (edge.from().index() as u32, edge.to().index() as u32);
+                let (left, right) = (edge.face().index(), edge.rev().face().index());
+                if edge.is_constraint_edge() {
+                    // On the border itself: an insertion would split an edge whose sides are counted.
+                    self.splits.push(BorderSplit { edge: (a.min(b), a.max(b)), at: [x, y] });
+                    false
+                } else {
+                    self.is_clear(left, [x, y]) && self.is_clear(right, [x, y])
+                }
+            }
+            _ => false,
         };
-        let allowed = around.is_some_and(|face| self.is_clear(face, [x, y]));
         if !allowed {
             self.park(site, facet);
             return;
@@ -202,7 +212,7 @@ impl Tin {
     /// which is asked to be split instead.
     fn is_clear(&mut self, face: usize, p: [f64; 2]) -> bool {
         let Some(facet) = self.facets.get(face) else { return false };
-        if face == 0 {
+        if face == 0 || !facet.inside {
             return false;
         }
         let corners = facet.corners;

@@ -94,7 +94,15 @@ pub fn leased(directory: &Path) -> Result<Vec<u64>> {
         else {
             continue;
         };
-        let Ok(file) = File::open(entry.path()) else { continue };
+        let file = match File::open(entry.path()) {
+            Ok(file) => file,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => continue,
+            // Another user's lease that we may not open: it may be alive.
+            Err(_) => {
+                held.push(version);
+                continue;
+            }
+        };
         match file.try_lock() {
             Ok(()) => {
                 let _ = fs::remove_file(entry.path());

@@ -170,6 +170,9 @@ impl SegmentWriter {
 
 impl Pages for SegmentWriter {
     fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>> {
+        if at.offset.checked_add(u64::from(at.len)).is_none_or(|end| end > self.offset) {
+            return Err(Error::corrupt(file_name(at.file), at.place(), "reaches past what was written"));
+        }
         let mut buffer = vec![0; at.len as usize];
         self.file
             .lock()
@@ -192,7 +195,7 @@ fn verify(name: &str, at: &PageRef, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// The finished files of one version, each opened (and its length checked) on first touch.
+/// The finished files of one version, each opened and its length checked on first touch.
 pub struct Files {
     disk: Arc<dyn Disk>,
     /// Number, length as the catalog says, and the bytes once opened.
@@ -216,6 +219,11 @@ impl Files {
         format!("{}/{}", self.disk.place(), file_name(number))
     }
 
+    /// Checks a file's header. Not done on opening: it would cost a read of its own, and every page has its checksum.
+    pub fn check_header(&self, number: u32) -> Result<()> {
+        check_header(&self.name(number), self.bytes(number)?, number)
+    }
+
     /// Opens a file, or names why it cannot be.
     pub fn bytes(&self, number: u32) -> Result<&[u8]> {
         let name = self.name(number);
@@ -230,7 +238,6 @@ impl Files {
             return Ok((**open).as_ref());
         }
         let open = self.disk.open(&file_name(number), *len)?;
-        check_header(&name, (*open).as_ref(), number)?;
         // Two threads may have opened it at once: either mapping serves.
         Ok((**slot.get_or_init(|| open)).as_ref())
     }

@@ -80,11 +80,10 @@ impl Checker<'_> {
         }
         for r in &node.records {
             self.seen.insert((r.survey, r.place), ());
-            if !self.domains.domain(r).meets_cell(cell) {
-                self.problems.push(format!("Q3: patch {} does not meet its cell, {}", r.id, place()));
-            }
             if self.live.get(&(r.survey, r.place)) != Some(r) {
                 self.problems.push(format!("record of patch {} differs from the tables, {}", r.id, place()));
+            } else if !self.domains.domain(r).meets_cell(cell) {
+                self.problems.push(format!("Q3: patch {} does not meet its cell, {}", r.id, place()));
             }
         }
         let keep = if depth == DEPTH_MAX { pending.len() } else { pending.len().min(CAPACITY) };
