@@ -36,7 +36,7 @@ pub struct Export {
     #[command(flatten)]
     tolerance: OptionalTolerance,
     /// A survey's own samples instead of the surface
-    #[arg(long, value_name = "SURVEY", conflicts_with_all = ["error", "eye", "bbox", "step"])]
+    #[arg(long, value_name = "SURVEY")]
     survey: Option<String>,
     /// With --survey: this tile, by file name or key
     #[arg(long, value_name = "T", requires = "survey")]
@@ -71,6 +71,12 @@ impl Export {
                     "--survey",
                     "a survey's samples are written as .tif; name such a file",
                 ));
+            }
+            let t = &self.tolerance.inner;
+            if t.error.is_some() || t.eye.is_some() || self.region.bbox.is_some() || self.step.is_some() {
+                message(
+                    "note: with --survey the samples are written as delivered; tolerance, --bbox and --step are not used",
+                );
             }
             let (posts, masked) = survey(&s, name, self.tile.as_deref(), &self.out)?;
             if masked > 0 {
