@@ -224,7 +224,7 @@ pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
     Ok(i)
 }
 
-/// Domains of the patches that a query at tolerance 0 needs, over sampled kernel centres.
+/// Domains of the patches that a query at tolerance 0 needs, over sampled points.
 fn overlap(s: &Snapshot) -> Result<(f64, u64)> {
     use super::query::{Query, Tolerance};
     use crate::height::surface::Blend;
@@ -237,7 +237,9 @@ fn overlap(s: &Snapshot) -> Result<(f64, u64)> {
         for j in (places.j0..places.j1).step_by(step) {
             for i in (places.i0..places.i1).step_by(step) {
                 let r = Place::new(0, i, j).rect();
-                let c = g.frame.post((r.i0 + r.i1) / 2, (r.j0 + r.j1) / 2);
+                // Another spot of the kernel each time: centres alone would never meet a neighbour's domain.
+                let spot = |by: u64| (n * by % 28) as i64;
+                let c = g.frame.post(r.i0 + spot(11), r.j0 + spot(17));
                 let p = [c.x as f64 * size, c.y as f64 * size];
                 let pad = g.steps[0].min(g.steps[1]) * 1e-3;
                 let query = Query {
