@@ -167,8 +167,9 @@ impl Tin {
     /// bound any more.
     pub fn insert_worst(&mut self) -> bool {
         let Some((bits, Reverse(site), facet)) = self.heap.pop() else { return false };
-        let f = &self.facets[facet as usize];
-        if f.worst == site && f.worst_error.to_bits() == bits {
+        // Entries may be older than the facet that they speak of, or than its end.
+        let still = |f: &Facet| f.worst == site && f.worst_error.to_bits() == bits;
+        if self.facets.get(facet as usize).is_some_and(still) {
             self.insert_site(site, facet);
         }
         true

@@ -99,7 +99,8 @@ mod tests {
         blocks[3] = Block::FULL;
         let h = Hood::of(&blocks);
         assert_eq!(outside(&h, 0.0, 5.0), 0.0);
-        assert!((outside(&h, 0.5, 5.0) - 0.5).abs() < 1e-15);
+        // On the line between two cells of the neighbour, half a cell away: 1/2 for each of them.
+        assert_eq!(outside(&h, 0.5, 5.0), 0.25);
         assert_eq!(outside(&h, 1.5, 5.0), 1.0);
         assert_eq!(Hood::of(&[Block::FULL; 9]), Hood::Full);
         assert_eq!(Hood::of(&[Block::EMPTY; 9]), Hood::Empty);
