@@ -189,7 +189,11 @@ fn questions(c: &mut Criterion) {
     let db = helens(&folder.path().join("db")).expect("the bundled surveys are ingested");
     let s = db.snapshot(None).expect("a version");
     let region = Some([562_000.0, 5_115_300.0, 563_300.0, 5_116_600.0]);
-    let query = |error_m| Query { region, tolerance: Tolerance::Constant(error_m), blend: Blend::Exact };
+    let query = |error_m| Query {
+        area: region.into(),
+        tolerance: Tolerance::Constant(error_m),
+        how: Blend::Exact.into(),
+    };
     let mut group = c.benchmark_group("select");
     for error_m in [0.0, 5.0, 50.0] {
         group.bench_function(BenchmarkId::new("within", error_m), |b| {

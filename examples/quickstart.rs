@@ -40,7 +40,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let region = Some([562_400.0, 5_115_700.0, 562_900.0, 5_116_200.0]);
-    let answer = now.select(&Query { region, tolerance: Tolerance::Constant(10.0), blend: Blend::Exact })?;
+    let answer = now.select(&Query {
+        area: region.into(),
+        tolerance: Tolerance::Constant(10.0),
+        how: Blend::Exact.into(),
+    })?;
     println!(
         "{} patches make the dome within 10 m; the first is {}",
         answer.records.len(),

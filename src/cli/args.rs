@@ -1,10 +1,10 @@
 //! Arguments that several commands share: database, version, region, tolerance.
 
 use crate::base::{Error, Result};
-use crate::db::query::{Query, Tolerance};
+use crate::db::query::{Area, Query, Tolerance};
 use crate::db::{Db, Snapshot};
 use crate::height::lod::cut::Camera;
-use crate::height::surface::Blend;
+use crate::height::surface::{Blend, How};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -38,8 +38,8 @@ pub struct Region {
 }
 
 impl Region {
-    pub fn get(&self) -> Result<Option<[f64; 4]>> {
-        let Some(text) = &self.bbox else { return Ok(None) };
+    pub fn get(&self) -> Result<Area> {
+        let Some(text) = &self.bbox else { return Ok(Area::Everything) };
         let b: [f64; 4] = numbers("--bbox", text)?;
         if b[0] >= b[2] || b[1] >= b[3] {
             return Err(Error::invalid(
@@ -47,7 +47,7 @@ impl Region {
                 format!("'{text}' is empty; give xmin,ymin,xmax,ymax with min below max"),
             ));
         }
-        Ok(Some(b))
+        Ok(Area::Box(b))
     }
 }
 
@@ -93,10 +93,10 @@ pub struct ToleranceArgs {
 }
 
 impl ToleranceArgs {
-    pub fn blend(&self) -> Blend {
+    pub fn how(&self) -> How {
         match self.surface {
-            SurfaceKind::Exact => Blend::Exact,
-            SurfaceKind::Plain => Blend::Plain,
+            SurfaceKind::Exact => Blend::Exact.into(),
+            SurfaceKind::Plain => Blend::Plain.into(),
         }
     }
 
@@ -125,7 +125,7 @@ impl ToleranceArgs {
     }
 
     pub fn query(&self, region: &Region) -> Result<Query> {
-        Ok(Query { region: region.get()?, tolerance: self.get()?, blend: self.blend() })
+        Ok(Query { area: region.get()?, tolerance: self.get()?, how: self.how() })
     }
 }
 

@@ -321,7 +321,7 @@ impl Heights {
                 "ask with --error M",
             ));
         }
-        let found = s.heights(&points, &tolerance, self.tolerance.blend())?;
+        let found = s.heights(&points, &tolerance, self.tolerance.how())?;
         let mut out = Output::new();
         if !self.source.json {
             out.line("x,y,z,error_m")?;
@@ -331,7 +331,7 @@ impl Heights {
             if self.source.json {
                 let mut row = row(p, e.as_ref());
                 if self.explain {
-                    row["sources"] = sources(&s, &tolerance, self.tolerance.blend(), *p)?;
+                    row["sources"] = sources(&s, &tolerance, self.tolerance.how(), *p)?;
                 }
                 rows.push(row);
                 continue;
@@ -343,8 +343,7 @@ impl Heights {
                 None => out.line(format!("{},{},,", p[0], p[1]))?,
             }
             if self.explain {
-                for x in
-                    sources(&s, &tolerance, self.tolerance.blend(), *p)?.as_array().unwrap_or(&Vec::new())
+                for x in sources(&s, &tolerance, self.tolerance.how(), *p)?.as_array().unwrap_or(&Vec::new())
                 {
                     out.line(format!("# {} patch {} weight {}", x["survey"], x["patch"], x["weight"]))?;
                 }
@@ -371,11 +370,11 @@ fn row(p: &[f64; 2], e: Option<&Evaluation>) -> Value {
 fn sources(
     s: &Snapshot,
     tolerance: &crate::db::query::Tolerance,
-    blend: crate::height::surface::Blend,
+    how: crate::height::surface::How,
     p: [f64; 2],
 ) -> Result<Value> {
     let mut list = Vec::new();
-    for (record, weight) in s.explain(p, tolerance, blend)? {
+    for (record, weight) in s.explain(p, tolerance, how)? {
         list.push(json!({
             "survey": s.survey_by_number(record.survey)?.name, "patch": record.id.to_string(), "weight": weight,
             "level": record.place.level, "error_m": record.bot, "floor": record.floor,

@@ -6,7 +6,7 @@ use super::output::{Output, bytes, count};
 use super::shading::Raster;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
-use crate::db::query::{Query, Tolerance, difference};
+use crate::db::query::{Area, Query, Tolerance, difference};
 use crate::db::{self, Change, Db, Ingest, Options, Policy};
 use crate::format;
 use crate::height::crs::Crs;
@@ -61,7 +61,7 @@ const DOME_BOX: [f64; 4] = [562_000.0, 5_115_300.0, 563_300.0, 5_116_600.0];
 const MARK: &str = "made-by-terraquilt-demo";
 
 fn uniform(error_m: f64) -> Query {
-    Query { region: None, tolerance: Tolerance::Constant(error_m), blend: Blend::Exact }
+    Query { area: Area::Everything, tolerance: Tolerance::Constant(error_m), how: Blend::Exact.into() }
 }
 
 fn ingest(db: &Db, folder: &Path, b: &Bundled) -> Result<db::Outcome> {
@@ -161,7 +161,7 @@ impl Demo {
             picture.display()
         ))?;
         let mesh = dir.join("dome-2004.glb");
-        let m = glb(&now, &Query { region: Some(DOME_BOX), ..uniform(4.0) }, &mesh)?;
+        let m = glb(&now, &Query { area: Area::Box(DOME_BOX), ..uniform(4.0) }, &mesh)?;
         out.line(format!(
             "  {}   {} triangles, error {:.2} m (surface {:.2} certified + mesh {:.2} measured)",
             mesh.display(),

@@ -114,7 +114,7 @@ impl Export {
                 self.told(&m, &text)
             }
             "tif" | "tiff" => {
-                let raster = Raster::new(&s, query.region, Some(self.step(&s)?), PICTURE_SIDE)?;
+                let raster = Raster::new(&s, query.area.bounds(), Some(self.step(&s)?), PICTURE_SIDE)?;
                 let error = tif(&s, &query, &raster, &self.out)?;
                 self.told(
                     &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
@@ -123,7 +123,7 @@ impl Export {
             }
             "png" => {
                 let step = self.step.as_deref().map(|_| self.step(&s)).transpose()?;
-                let raster = Raster::new(&s, query.region, step, PICTURE_SIDE)?;
+                let raster = Raster::new(&s, query.area.bounds(), step, PICTURE_SIDE)?;
                 let error = png(&s, &query, &raster, &self.out)?;
                 self.told(
                     &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),

@@ -84,7 +84,7 @@ impl Raster {
                 .flat_map(|r| (0..self.cols).map(move |c| (c, r)))
                 .map(|(c, r)| self.center(c, r))
                 .collect();
-            let found = s.heights(&points, &query.tolerance, query.blend)?;
+            let found = s.heights(&points, &query.tolerance, query.how)?;
             let z: Vec<f32> = found
                 .iter()
                 .map(|e| match e {
@@ -110,7 +110,7 @@ impl Raster {
             .collect();
         let b = self.bounds;
         let k = metres_per_unit(s.crs().unit, [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]);
-        Ok(s.dominant(&points, &query.tolerance, query.blend)?
+        Ok(s.dominant(&points, &query.tolerance, query.how)?
             .into_iter()
             .map(|r| match r {
                 Some(r) => {

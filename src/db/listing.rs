@@ -226,7 +226,7 @@ pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
 
 /// Domains of the patches that a query at tolerance 0 needs, over sampled points.
 fn overlap(s: &Snapshot) -> Result<(f64, u64)> {
-    use super::query::{Query, Tolerance};
+    use super::query::{Area, Query, Tolerance};
     use crate::height::surface::Blend;
     let (mut n, mut sum, mut most) = (0u64, 0u64, 0u64);
     let size = s.unit.size();
@@ -243,9 +243,9 @@ fn overlap(s: &Snapshot) -> Result<(f64, u64)> {
                 let p = [c.x as f64 * size, c.y as f64 * size];
                 let pad = g.steps[0].min(g.steps[1]) * 1e-3;
                 let query = Query {
-                    region: Some([p[0] - pad, p[1] - pad, p[0] + pad, p[1] + pad]),
+                    area: Area::Box([p[0] - pad, p[1] - pad, p[0] + pad, p[1] + pad]),
                     tolerance: Tolerance::Constant(0.0),
-                    blend: Blend::Exact,
+                    how: Blend::Exact.into(),
                 };
                 let count = s.select(&query)?.records.len() as u64;
                 (n, sum, most) = (n + 1, sum + count, most.max(count));

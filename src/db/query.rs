@@ -9,7 +9,9 @@ use crate::height::crs::AxisUnit;
 use crate::height::lod::cut::{Camera, Constant, Cut, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::Vertices;
-use crate::height::surface::{Blend, Evaluation, Hood, KAPPA, Patch, Sheet, Source, Surface, SurveyField};
+use crate::height::surface::{
+    Blend, Evaluation, Hood, How, KAPPA, Patch, Sheet, Source, Surface, SurveyField,
+};
 use crate::store::quadtree::{Domains, Record, walk};
 use quick_cache::sync::Cache;
 use rayon::prelude::*;
@@ -25,13 +27,37 @@ pub enum Tolerance {
     Camera(Camera),
 }
 
+/// Where is asked, in the CRS of the database.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Area {
+    #[default]
+    Everything,
+    /// xmin, ymin, xmax, ymax.
+    Box([f64; 4]),
+}
+
+impl Area {
+    /// The box around it; `None`: everything.
+    pub fn bounds(&self) -> Option<[f64; 4]> {
+        match self {
+            Area::Everything => None,
+            Area::Box(b) => Some(*b),
+        }
+    }
+}
+
+impl From<Option<[f64; 4]>> for Area {
+    fn from(b: Option<[f64; 4]>) -> Area {
+        b.map_or(Area::Everything, Area::Box)
+    }
+}
+
 /// What is asked.
 #[derive(Clone, Debug)]
 pub struct Query {
-    /// xmin, ymin, xmax, ymax in CRS units; `None`: everything.
-    pub region: Option<[f64; 4]>,
+    pub area: Area,
     pub tolerance: Tolerance,
-    pub blend: Blend,
+    pub how: How,
 }
 
 /// The patches of an answer, ascending by id.
@@ -104,7 +130,7 @@ impl Snapshot {
     }
 
     fn region(&self, query: &Query) -> Result<Region> {
-        let whole = match query.region {
+        let whole = match query.area.bounds() {
             Some(b) => {
                 if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
                     return Err(Error::invalid(
@@ -145,7 +171,7 @@ impl Snapshot {
         {
             return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
         }
-        self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.blend)
+        self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)
     }
 
     fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
@@ -222,10 +248,10 @@ impl Snapshot {
     /// The surface of a query, ready for heights. Patches are decoded when a point first needs them.
     pub fn surface(&self, query: &Query) -> Result<Ground<'_>> {
         let selection = self.select(query)?;
-        Ok(self.ground(selection, self.cut(&query.tolerance), query.blend))
+        Ok(self.ground(selection, self.cut(&query.tolerance), query.how))
     }
 
-    fn ground(&self, selection: Selection, cut: Box<dyn Cut>, blend: Blend) -> Ground<'_> {
+    fn ground(&self, selection: Selection, cut: Box<dyn Cut>, how: How) -> Ground<'_> {
         let b = selection.region.bounds();
         let origin = if b[0].is_finite() { [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0] } else { [0.0; 2] };
         // Masks need every survey near the region, whether a patch of it was selected or not.
@@ -260,7 +286,7 @@ impl Snapshot {
                 floor: r.floor,
             })
             .collect();
-        let surface = Surface::new(origin, self.unit, fields, patches, blend);
+        let surface = Surface::new(origin, self.unit, fields, patches, how.blend);
         let data = Data {
             view: &self.view,
             surveys: keep,
@@ -277,7 +303,7 @@ impl Snapshot {
         &self,
         points: &[[f64; 2]],
         tolerance: &Tolerance,
-        blend: Blend,
+        how: impl Into<How>,
     ) -> Result<Vec<Option<Evaluation>>> {
         if let Tolerance::Constant(c) = tolerance
             && (c.is_nan() || *c < 0.0)
@@ -291,7 +317,7 @@ impl Snapshot {
             .entries()
             .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
             .fold(f64::INFINITY, f64::min);
-        self.heights_within(points, &mut order, tolerance, blend, finest * 1024.0, &mut out)?;
+        self.heights_within(points, &mut order, tolerance, how.into(), finest * 1024.0, &mut out)?;
         Ok(out)
     }
 
@@ -300,7 +326,7 @@ impl Snapshot {
         points: &[[f64; 2]],
         order: &mut [usize],
         tolerance: &Tolerance,
-        blend: Blend,
+        how: How,
         side_max: f64,
         out: &mut [Option<Evaluation>],
     ) -> Result<()> {
@@ -315,8 +341,8 @@ impl Snapshot {
             order.sort_by(|x, y| (points[*x][axis] > mid).cmp(&(points[*y][axis] > mid)).then(x.cmp(y)));
             let split = order.partition_point(|k| points[*k][axis] <= mid);
             let (left, right) = order.split_at_mut(split);
-            self.heights_within(points, left, tolerance, blend, side_max, out)?;
-            return self.heights_within(points, right, tolerance, blend, side_max, out);
+            self.heights_within(points, left, tolerance, how, side_max, out)?;
+            return self.heights_within(points, right, tolerance, how, side_max, out);
         }
         // A region around the points: any superset gives the same heights.
         let pad =
@@ -324,8 +350,8 @@ impl Snapshot {
         let region = Region::from_box([b[0] - pad, b[1] - pad, b[2] + pad, b[3] + pad]);
         // The points were named: a camera sets their tolerance, not what it sees.
         let cut = self.cut(tolerance);
-        let selection = self.select_in(region, &*cut, blend)?;
-        let ground = self.ground(selection, cut, blend);
+        let selection = self.select_in(region, &*cut, how.blend)?;
+        let ground = self.ground(selection, cut, how);
         let here: Vec<[f64; 2]> = order.iter().map(|k| points[*k]).collect();
         for (k, e) in order.iter().zip(ground.heights(&here)?) {
             out[*k] = e;
@@ -429,11 +455,17 @@ impl Ground<'_> {
 
 impl Snapshot {
     /// Who makes the height at a point: patches and normalised weights, largest first; empty where there is no data.
-    pub fn explain(&self, p: [f64; 2], tolerance: &Tolerance, blend: Blend) -> Result<Vec<(Record, f64)>> {
+    pub fn explain(
+        &self,
+        p: [f64; 2],
+        tolerance: &Tolerance,
+        how: impl Into<How>,
+    ) -> Result<Vec<(Record, f64)>> {
+        let how = how.into();
         let pad = (p[0].abs().max(p[1].abs())).max(1.0) * 1e-9;
         let region = Region::from_box([p[0] - pad, p[1] - pad, p[0] + pad, p[1] + pad]);
         let cut = self.cut(tolerance);
-        let ground = self.ground(self.select_in(region, &*cut, blend)?, cut, blend);
+        let ground = self.ground(self.select_in(region, &*cut, how.blend)?, cut, how);
         let found = ground.sheet().explain(p)?;
         Ok(found.map_or(Vec::new(), |(_, who)| {
             who.into_iter().map(|(k, w)| (ground.selection.records[k], w)).collect()
@@ -445,8 +477,9 @@ impl Snapshot {
         &self,
         points: &[[f64; 2]],
         tolerance: &Tolerance,
-        blend: Blend,
+        how: impl Into<How>,
     ) -> Result<Vec<Option<Record>>> {
+        let how = how.into();
         let b = crate::height::lod::cut::bounds(points);
         if !b[0].is_finite() {
             return Ok(vec![None; points.len()]);
@@ -454,7 +487,7 @@ impl Snapshot {
         let pad = (b[2] - b[0]).max(b[3] - b[1]).max(1.0) * 1e-6;
         let region = Region::from_box([b[0] - pad, b[1] - pad, b[2] + pad, b[3] + pad]);
         let cut = self.cut(tolerance);
-        let ground = self.ground(self.select_in(region, &*cut, blend)?, cut, blend);
+        let ground = self.ground(self.select_in(region, &*cut, how.blend)?, cut, how);
         points
             .par_iter()
             .map(|p| {

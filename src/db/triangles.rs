@@ -96,7 +96,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     if !(total > 0.0 && total.is_finite()) {
         return Err(Error::invalid("--error", format!("{total} m; a mesh needs a positive error")));
     }
-    let accuracy = least_accurate(s, query.region);
+    let accuracy = least_accurate(s, query.area.bounds());
     let enough = accuracy <= total * 0.9;
     let mesh_error_m = if enough { total - accuracy } else { total / 2.0 };
     let surface = Tolerance::Constant(accuracy.min(total));
@@ -112,7 +112,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let scale = metres_per_unit(s.crs().unit, origin);
     let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);
     let (quads, posts, step) = outline_and_posts(s, &ground, b, &local, scale)?;
-    let clip = query.region.map(|_| {
+    let clip = query.area.bounds().map(|_| {
         let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
         [lo[0], lo[1], hi[0], hi[1]]
     });

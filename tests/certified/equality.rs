@@ -78,7 +78,7 @@ fn the_plain_blend_equals_equation_1_and_stays_within_what_it_may() {
         let fading: Vec<f64> =
             (0..4).map(|_| world.patches[r.below(world.patches.len() as u64) as usize].bot * 1.05).collect();
         for z in fading.into_iter().chain([0.0, 1.0, 5.0, 20.0, 100.0]) {
-            let query = Query { blend: Blend::Plain, ..Ask::Metres(z).query(None) };
+            let query = Query { how: Blend::Plain.into(), ..Ask::Metres(z).query(None) };
             let plain = world.snapshot.surface(&query).unwrap().heights(&points).unwrap();
             let exact = heights(&world, &Ask::Metres(z), &points);
             for (p, a) in points.iter().zip(&plain).step_by(if posts.is_empty() { 1 } else { 5 }) {

@@ -3,7 +3,7 @@
 use super::worlds::{self, Ask};
 use super::{every_tolerance, heights, random_worlds, scatter};
 use crate::support::{Grid, Random, Scratch, random_grid, seeds};
-use terraquilt::db::query::{Query, Tolerance};
+use terraquilt::db::query::{Area, Query, Tolerance};
 use terraquilt::db::{Change, Policy};
 use terraquilt::height::source::Affine;
 use terraquilt::height::surface::Blend;
@@ -191,7 +191,7 @@ fn an_old_crater_shows_nowhere_under_a_new_one() {
     let mut asked = 0;
     for z in [0.0, 1.0, 5.0, 20.0, 100.0, 1e6] {
         let tolerance = Tolerance::Constant(z);
-        let query = Query { region: None, tolerance, blend: Blend::Exact };
+        let query = Query { area: Area::Everything, tolerance, how: Blend::Exact.into() };
         let ground = world.snapshot.surface(&query).unwrap();
         for p in &points {
             let (_, who) = ground.sheet().explain(*p).unwrap().unwrap();

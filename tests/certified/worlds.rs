@@ -29,7 +29,7 @@ impl Ask {
     }
 
     pub fn query(&self, region: Option<[f64; 4]>) -> Query {
-        Query { region, tolerance: self.tolerance(), blend: Blend::Exact }
+        Query { area: region.into(), tolerance: self.tolerance(), how: Blend::Exact.into() }
     }
 
     /// Allowed error at a point over terrain between two heights.

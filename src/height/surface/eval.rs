@@ -18,6 +18,32 @@ pub enum Blend {
     Plain,
 }
 
+/// What is done where surveys disagree (LOD-space specification, section 15).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Seams {
+    /// Nothing: every survey as it was delivered.
+    #[default]
+    Off,
+    /// The lower survey is bent towards the higher one along the border, however far apart they are.
+    All,
+    /// The same, by no more than the two stated accuracies allow; the rest stays a step.
+    Consistent,
+}
+
+/// How a surface is made of its patches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct How {
+    pub blend: Blend,
+    pub seams: Seams,
+}
+
+impl From<Blend> for How {
+    /// Without correction of seams.
+    fn from(blend: Blend) -> How {
+        How { blend, seams: Seams::Off }
+    }
+}
+
 /// A survey as the surface sees it.
 #[derive(Clone, Debug)]
 pub struct SurveyField {
@@ -65,8 +91,10 @@ pub struct Evaluation {
     pub accuracy_m: f64,
     /// False in the rim outside every core: the height is given, its error is not promised.
     pub certified: bool,
-    /// What the correction of section 15 added: none yet.
+    /// What the correction of seams added (section 15), metres; `z - correction_m` is the surface without it.
     pub correction_m: f64,
+    /// The correction comes from surveys that contradict each other: it is invented ground.
+    pub contradiction: bool,
 }
 
 /// A selected set of patches over a region, ready to be evaluated.
@@ -428,6 +456,7 @@ impl Sheet<'_> {
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
             correction_m: 0.0,
+            contradiction: false,
         }))
     }
 
