@@ -13,6 +13,7 @@ use terraquilt::base::date::Date;
 use terraquilt::db::query::Tolerance;
 use terraquilt::db::{Change, Db, Options, Policy, Progress};
 use terraquilt::height::crs::Crs;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::Affine;
 use terraquilt::height::surface::Blend;
 
@@ -54,7 +55,8 @@ fn grid(name: &str, origin: [i64; 2], col: [i64; 2], row: [i64; 2], hole: bool) 
 
 /// Three commits: a survey of 10 m, one of 5 m turned by a 3-4-5 triangle over it, and a date for the first.
 fn build(path: &Path) -> Db {
-    let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy: Policy::Accuracy };
+    let options =
+        Options { crs: Crs::from_epsg(32610).unwrap(), policy: Policy::Accuracy, patch: Kind::Bilinear };
     let db = Db::create(path, &options).unwrap();
     let old = grid("old ground", [500_005, 4_000_495], [10, 0], [0, -10], false);
     let new = grid("new ground", [500_100, 4_000_250], [4, 3], [3, -4], true);

@@ -11,6 +11,7 @@ mod change;
 mod check;
 mod commit;
 mod database;
+mod errors;
 mod export;
 mod fingerprint;
 mod head;

@@ -6,7 +6,7 @@ use crate::base::{Error, Result};
 use crate::height::block::{BLOCK, Heights, RawBlock, decode};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Place, SIDE};
-use crate::height::patch::Vertices;
+use crate::height::patch::{Kind, Vertices, bicubic};
 use crate::store::segment::{PageRef, Pages, file_name};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
@@ -35,6 +35,16 @@ pub fn block_cache(bytes: u64) -> BlockCache {
 
 /// Finds the page of a sample block of a level above 0.
 pub type LevelBlocks<'a> = &'a (dyn Fn(u8, i64, i64) -> Result<Option<PageRef>> + Sync);
+
+/// What is read where there is no sample.
+#[derive(Clone, Copy, PartialEq)]
+enum Voids {
+    /// The fill; 0 where there is none.
+    AsStored,
+    /// NaN where there is no fill (which is stored as 0, so a fill of 0 counts as none); else the fill.
+    OpenAsNan,
+    AllAsNan,
+}
 
 /// The samples of one survey.
 pub struct SampleReader<'a> {
@@ -99,13 +109,24 @@ impl SampleReader<'_> {
         Ok(h)
     }
 
-    /// The 33 x 33 vertices of a patch.
-    pub fn vertices(&self, place: Place) -> Result<Box<Vertices>> {
+    /// The 33 x 33 vertices of a patch. A bicubic one has no open vertices: those that are void and have no fill are
+    /// given what the others of the patch suggest.
+    pub fn vertices(&self, kind: Kind, place: Place) -> Result<Box<Vertices>> {
         let mut z: Box<Vertices> =
             vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
         let d = place.domain();
         let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
-        self.copy(place.level, i0, j0, SIDE, SIDE, &mut z[..], false)?;
+        match kind {
+            Kind::Bilinear => self.copy(place.level, i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?,
+            Kind::Bicubic => {
+                self.copy(place.level, i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
+                let mut open = [false; SIDE * SIDE];
+                for (z, open) in z.iter_mut().zip(&mut open).filter(|(z, _)| z.is_nan()) {
+                    (*z, *open) = (0.0, true);
+                }
+                bicubic::extend(&mut z, &mut open);
+            }
+        }
         Ok(z)
     }
 
@@ -113,14 +134,14 @@ impl SampleReader<'_> {
     pub fn posts(&self, r: &CellRect) -> Result<Vec<f64>> {
         let (cols, rows) = (r.width() as usize, r.height() as usize);
         let mut z = vec![0.0; cols * rows];
-        self.copy(0, r.i0, r.j0, cols, rows, &mut z, true)?;
+        self.copy(0, r.i0, r.j0, cols, rows, &mut z, Voids::AllAsNan)?;
         Ok(z)
     }
 
     /// One row of vertices of a level.
     pub fn line(&self, level: u8, i0: i64, j: i64, out: &mut [f64]) -> Result<()> {
         let n = out.len();
-        self.copy(level, i0, j, n, 1, out, false)
+        self.copy(level, i0, j, n, 1, out, Voids::AsStored)
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -132,7 +153,7 @@ impl SampleReader<'_> {
         cols: usize,
         rows: usize,
         out: &mut [f64],
-        nan: bool,
+        voids: Voids,
     ) -> Result<()> {
         let (i1, j1) = (i0 + cols as i64, j0 + rows as i64);
         for bj in j0.div_euclid(BLOCK)..=(j1 - 1).div_euclid(BLOCK) {
@@ -145,9 +166,11 @@ impl SampleReader<'_> {
                     let from = &block.z[b * N + a0..b * N + a1];
                     let at = (j - j0) as usize * cols + (ci + a0 as i64 - i0) as usize;
                     out[at..at + from.len()].copy_from_slice(from);
-                    if nan && let Some(v) = &block.valid {
+                    if voids != Voids::AsStored
+                        && let Some(v) = &block.valid
+                    {
                         for (o, v) in out[at..at + from.len()].iter_mut().zip(&v[b * N + a0..b * N + a1]) {
-                            if *v == 0 {
+                            if *v == 0 && (voids == Voids::AllAsNan || *o == 0.0) {
                                 *o = f64::NAN;
                             }
                         }

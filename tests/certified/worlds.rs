@@ -8,6 +8,7 @@ use terraquilt::db::{Change, Db, Ingest, Options, Policy};
 use terraquilt::format;
 use terraquilt::height::crs::Crs;
 use terraquilt::height::lod::cut::Camera;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::Window;
 use terraquilt::height::surface::Blend;
 
@@ -125,8 +126,11 @@ pub fn holes_alone() -> Option<World> {
 
 fn real(files: &[File], epsg: u32, policy: Policy) -> Option<World> {
     let folder = tempfile::tempdir().unwrap();
-    let db = Db::create(&folder.path().join("db"), &Options { crs: Crs::from_epsg(epsg).unwrap(), policy })
-        .unwrap();
+    let db = Db::create(
+        &folder.path().join("db"),
+        &Options { crs: Crs::from_epsg(epsg).unwrap(), policy, patch: Kind::Bilinear },
+    )
+    .unwrap();
     let mut grids = Vec::new();
     for (name, file, accuracy, date) in files {
         let path = shared(file)?;
