@@ -216,8 +216,12 @@ pub struct Scratch {
 
 impl Scratch {
     pub fn new(policy: Policy) -> Scratch {
+        Scratch::of(policy, Kind::Bilinear)
+    }
+    /// With patches of a kind.
+    pub fn of(policy: Policy, patch: Kind) -> Scratch {
         let folder = tempfile::tempdir().unwrap();
-        let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy, patch: Kind::Bilinear };
+        let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy, patch };
         let db = Db::create(&folder.path().join("db"), &options).unwrap();
         Scratch { db, folder }
     }

@@ -1,0 +1,372 @@
+//! Databases of bicubic patches: the surface is of class C2 across patches, levels and surveys, and everything that is
+//! promised for bilinear databases holds (LOD-space specification, sections 5.4, 7, 8, 9).
+
+use crate::certified::reference::{Spot, World};
+use crate::certified::worlds::{self, Ask, asks};
+use crate::certified::{heights, random_worlds_of, scatter};
+use crate::derivation::judge;
+use crate::oracle::KERNEL;
+use crate::support::{Grid, Random, Scratch, bundled, program, random_grid, refused, seeds};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use terraquilt::base::date::Date;
+use terraquilt::db::{Db, Policy};
+use terraquilt::height::patch::Kind;
+use terraquilt::height::source::Window;
+use terraquilt::height::surface::Blend;
+
+/// A bundled survey of Mount St. Helens.
+fn helens_grid(date: &str, accuracy: f64) -> Grid {
+    let mut source =
+        terraquilt::format::open(&bundled(&format!("st_helens/survey_{date}_native.tif"))).unwrap();
+    let info = source.info().clone();
+    let (cols, rows) = (info.cols as usize, info.rows as usize);
+    let samples = source.read(Window { col: 0, row: 0, cols, rows }).unwrap();
+    let each = samples.data.chunks_exact(info.sample_type.bytes()).zip(&samples.valid);
+    let z = each.map(|(b, ok)| if *ok == 1 { info.sample_type.value(b) as f32 } else { f32::NAN }).collect();
+    let date = Some(Date::parse(date).unwrap());
+    let affine = info.affine.unwrap();
+    Grid { name: date.unwrap().to_string(), cols, rows, z, affine, accuracy, precedence: None, date }
+}
+
+/// The crater of 2000 at 10 m under two domes of 2004 at 2 m.
+fn helens(kind: Kind, policy: Policy) -> World {
+    let s = Scratch::of(policy, kind);
+    let grids =
+        [("2000-09-25", 2.0), ("2004-10-04", 0.5), ("2004-10-13", 0.5)].map(|(d, e)| helens_grid(d, e));
+    grids.iter().for_each(|g| {
+        s.ingest(g);
+    });
+    World::new(s.db.snapshot(None).unwrap(), &grids, false)
+}
+
+#[test]
+fn errors_tops_and_tree_equal_the_oracle_and_a_fresh_build() {
+    let mut one_step = 0;
+    for seed in seeds(6) {
+        println!("seed {seed}");
+        let mut r = Random::new(seed + 61_000);
+        let s = Scratch::of(Policy::Accuracy, Kind::Bicubic);
+        let pool: Vec<Grid> =
+            (0..2 + r.below(2)).map(|k| random_grid(&mut r, &format!("s{k}"), 90)).collect();
+        let mut present: BTreeMap<String, Grid> = BTreeMap::new();
+        for step in 0..5 {
+            let g = &pool[r.below(pool.len() as u64) as usize];
+            if present.remove(&g.name).is_some() {
+                s.remove(&g.name);
+            } else {
+                s.ingest(g);
+                present.insert(g.name.clone(), g.clone());
+            }
+            if present.is_empty() {
+                continue;
+            }
+            let counts = judge(&s, &present);
+            one_step += counts.errors_one_step_off;
+            s.verify();
+            let fresh = Scratch::of(Policy::Accuracy, Kind::Bicubic);
+            let mut order: Vec<&Grid> = present.values().collect();
+            r.shuffle(&mut order);
+            for g in order {
+                fresh.ingest(g);
+            }
+            assert_eq!(s.fingerprint(), fresh.fingerprint(), "seed {seed}, step {step}");
+        }
+    }
+    println!("{one_step} errors are one step of f32 off");
+}
+
+#[test]
+fn twenty_orders_of_tiles_have_one_fingerprint() {
+    let mut r = Random::new(seeds(1)[0] + 62_000);
+    let other = random_grid(&mut r, "other", 60);
+    let whole = helens_grid("2004-10-04", 0.5);
+    let tiled = Grid { name: "tiled".into(), ..whole.cut(100, 100, 90, 80) };
+    let mut prints = BTreeMap::new();
+    for _ in 0..20 {
+        let s = Scratch::of(Policy::Accuracy, Kind::Bicubic);
+        let mut tiles = vec![(0, 45, 0, 40), (45, 45, 0, 40), (0, 45, 40, 40), (45, 45, 40, 40)];
+        r.shuffle(&mut tiles);
+        let early = r.below(4) as usize;
+        for (k, (col, cols, row, rows)) in tiles.into_iter().enumerate() {
+            if k == early {
+                s.ingest(&other);
+            }
+            let t = tiled.cut(col, row, cols, rows);
+            let mut i = t.tiles_of(vec![t.source()]);
+            if k == 0 {
+                i.name = Some("tiled".into())
+            } else {
+                i.into = Some("tiled".into())
+            }
+            s.change(terraquilt::db::Change::Ingest(i)).unwrap();
+        }
+        *prints.entry(s.fingerprint()).or_insert(0) += 1;
+    }
+    assert_eq!(prints.len(), 1, "{prints:?}");
+}
+
+#[test]
+fn the_surface_equals_its_definition_from_any_region_within_its_certified_error() {
+    let (mut asked, mut worst) = (0, 0.0f64);
+    for (seed, mut r, world) in random_worlds_of(Kind::Bicubic, 8, 90) {
+        let points = scatter(&world, &mut r, 300, 60);
+        for ask in asks(&world).into_iter().chain([Ask::Metres(0.3), Ask::Metres(2.2)]) {
+            let found = heights(&world, &ask, &points);
+            let off: Vec<f64> = (points.par_iter().zip(&found))
+                .map(|(p, e)| {
+                    let delta = ask.at(*p, world.z);
+                    let truth = world.brute(*p, delta, Blend::Exact);
+                    let (best, sure, _) = world.best(*p);
+                    let e = match (&truth, e) {
+                        (Some(_), Some(e)) => e,
+                        // Far out in the rim weights may round to nothing.
+                        (Some((_, who)), None) if !sure => return f64::from(u8::from(who.is_empty())) * 0.0,
+                        (None, None) => return 0.0,
+                        _ => panic!("seed {seed} {ask:?} {p:?}: {e:?}, expected {truth:?}"),
+                    };
+                    let bound = delta.max(best) * (1.0 + 1e-12);
+                    assert!(
+                        !sure || e.certified && e.error_m <= bound,
+                        "seed {seed} {ask:?} {p:?}: {e:?}, {best}"
+                    );
+                    // The same from a region of one point.
+                    let alone = world.snapshot.heights(&[*p], &ask.tolerance(), Blend::Exact).unwrap();
+                    let apart = (alone[0].as_ref().unwrap().z - e.z).abs();
+                    // Outside every core' nothing is promised; weights there end with t cubed and their digits with them.
+                    if sure { (truth.unwrap().0 - e.z).abs().max(apart) } else { 0.0 }
+                })
+                .collect();
+            asked += points.len();
+            for (off, p) in off.iter().zip(&points) {
+                worst = worst.max(off / world.range());
+                assert!(*off <= 1e-8 * world.range(), "seed {seed} {ask:?} {p:?}: {off} m off");
+            }
+        }
+    }
+    println!("{asked} heights equal the definition: worst {worst:.1e} of the range");
+}
+
+#[test]
+fn at_level_0_the_surface_of_one_survey_meets_every_sample() {
+    let s = Scratch::of(Policy::Accuracy, Kind::Bicubic);
+    let g = helens_grid("2004-10-13", 0.5);
+    s.ingest(&g);
+    let world = World::new(s.db.snapshot(None).unwrap(), &[g], false);
+    let survey = &world.surveys[0];
+    let posts = survey.guaranteed_posts();
+    let points: Vec<[f64; 2]> = posts.iter().map(|at| survey.point(*at, [0.0; 2])).collect();
+    let found = heights(&world, &Ask::Metres(0.0), &points);
+    let off =
+        posts.iter().zip(&found).map(|(at, e)| (e.as_ref().unwrap().z - survey.post(*at).unwrap()).abs());
+    let worst = off.fold(0.0, f64::max);
+    println!("{} posts, largest distance {worst:.1e} m", posts.len());
+    assert!(posts.len() > 10_000 && worst < 1e-8, "{worst}");
+    // At coarser levels the samples are within the certified error.
+    for z in [2.0, 10.0] {
+        for (at, e) in posts.iter().zip(heights(&world, &Ask::Metres(z), &points)) {
+            let e = e.unwrap();
+            let off = (e.z - survey.post(*at).unwrap()).abs();
+            assert!(
+                e.certified && off + 0.5 <= e.error_m * (1.0 + 1e-6) && e.error_m <= z,
+                "{z} m: {e:?}, {off}"
+            );
+        }
+    }
+}
+
+#[test]
+fn curvature_inside_one_patch_is_that_of_its_spline() {
+    let world = helens(Kind::Bicubic, Policy::Newest);
+    let mut r = Random::new(seeds(1)[0] + 63_000);
+    let (mut alone, mut blended, mut worst) = (0, 0, 0.0f64);
+    for ask in [Ask::Metres(0.0), Ask::Metres(4.0), Ask::Metres(15.0)] {
+        let ground = world.snapshot.surface(&ask.query(None)).unwrap();
+        for (k, survey) in world.surveys.iter().enumerate() {
+            let points = world.points(&mut r, k, 300);
+            let found = ground.curvatures(&points).unwrap();
+            let (plain, slopes) = (ground.heights(&points).unwrap(), ground.slopes(&points).unwrap());
+            for (n, (p, e)) in points.iter().zip(&found).enumerate() {
+                let e = e.as_ref().unwrap();
+                // One formula: the same bits of the height and the slope.
+                assert_eq!(e.z.to_bits(), plain[n].as_ref().unwrap().z.to_bits());
+                assert_eq!(e.gradient, slopes[n].as_ref().unwrap().gradient);
+                let (_, who) = world.brute(*p, ask.at(*p, world.z), Blend::Exact).unwrap();
+                let patch = &world.patches[who[0].0];
+                if who.len() > 1 || patch.survey != k {
+                    blended += 1;
+                    continue;
+                }
+                // Second differences of the oracle's spline, which is a cubic: step by step exact but for rounding.
+                let at = |spot: &Spot| {
+                    [0, 1].map(|a| {
+                        ((spot.cell[a] - patch.first[a]) as f64 + spot.part[a]) / patch.stride as f64
+                    })
+                };
+                let c = at(&survey.spot(*p));
+                let h = 1.0 / 64.0;
+                if c.iter().any(|c| (c - c.round()).abs() < h) {
+                    continue;
+                }
+                let f = |a: f64, b: f64| patch.at(survey, [c[0] + a * h, c[1] + b * h]);
+                let second = [
+                    (f(1.0, 0.0) - 2.0 * f(0.0, 0.0) + f(-1.0, 0.0)) / (h * h),
+                    (f(1.0, 1.0) - f(1.0, -1.0) - f(-1.0, 1.0) + f(-1.0, -1.0)) / (4.0 * h * h),
+                    (f(0.0, 1.0) - 2.0 * f(0.0, 0.0) + f(0.0, -1.0)) / (h * h),
+                ];
+                // These surveys lie along the axes: x grows with i, y falls with j.
+                let step = survey.posts.nominal_step[0] * patch.stride as f64;
+                let [xx, xy, yy] = second.map(|d| d / (step * step));
+                let sign = if survey.posts.v[1] < 0 { -1.0 } else { 1.0 };
+                for (found, truth) in e.hessian.iter().zip([xx, sign * xy, yy]) {
+                    worst = worst.max((found - truth).abs() * step * step);
+                }
+                alone += 1;
+            }
+        }
+    }
+    println!("{alone} points in one patch, {blended} blended: worst {worst:.1e} m per squared cell");
+    // A mixed difference of a bicubic has an error of h^2 times its third derivatives.
+    assert!(alone > 200 && blended > 200 && worst < 0.05, "{alone} {blended} {worst}");
+}
+
+/// Points on borders and the direction across: of kernels and domains (patches and levels), and of core' (surveys).
+fn borders(world: &World, r: &mut Random, surveys: bool, count: usize) -> Vec<([f64; 2], [f64; 2])> {
+    let mut out = Vec::new();
+    while out.len() < count {
+        let k = r.below(world.surveys.len() as u64) as usize;
+        let s = &world.surveys[k];
+        let list = if surveys { &s.rim } else { &s.cells };
+        if list.is_empty() {
+            continue;
+        }
+        let mut cell = list[r.below(list.len() as u64) as usize];
+        let axis = r.below(2) as usize;
+        let mut part = [r.unit(), r.unit()];
+        part[axis] = 0.0;
+        if surveys {
+            // Either side of the rim, where v begins and where it ends.
+            cell[axis] += r.below(4) as i64 - 1;
+        } else {
+            let level = r.below(4);
+            let line = KERNEL << level;
+            let shift = [0, -2, 2][r.below(3) as usize] << level;
+            cell[axis] = (cell[axis] as f64 / line as f64).round() as i64 * line + shift;
+        }
+        let p = s.point(cell, part);
+        if world.best(p).1 {
+            let across = if axis == 0 { s.posts.u } else { s.posts.v };
+            let unit = 1.0 / (1u64 << 35) as f64;
+            out.push((p, across.map(|c| c as f64 * unit)));
+        }
+    }
+    out
+}
+
+/// Jumps of the second difference across borders, metres per squared cell, for steps of h, h/2 and h/4 cells: that of the
+/// three points after the border less that of the three before.
+fn jumps(world: &World, ask: &Ask, lines: &[([f64; 2], [f64; 2])], h: f64) -> Vec<[f64; 3]> {
+    let steps = [h, h / 2.0, h / 4.0];
+    let mut points = Vec::new();
+    for (p, d) in lines {
+        for h in steps {
+            points.extend((-2..3).map(|k| [0, 1].map(|a| p[a] + f64::from(k) * h * d[a])));
+        }
+    }
+    let z = heights(world, ask, &points);
+    z.chunks_exact(15)
+        .map(|z| {
+            std::array::from_fn(|n| {
+                let f: Vec<f64> =
+                    z[5 * n..5 * n + 5].iter().map(|e| e.as_ref().map_or(f64::NAN, |e| e.z)).collect();
+                let h2 = steps[n] * steps[n];
+                let (before, after) = ((f[0] - 2.0 * f[1] + f[2]) / h2, (f[2] - 2.0 * f[3] + f[4]) / h2);
+                (after - before).abs()
+            })
+        })
+        .filter(|j: &[f64; 3]| j.iter().all(|j| j.is_finite()))
+        .collect()
+}
+
+fn quantile(mut v: Vec<f64>, q: f64) -> f64 {
+    v.sort_by(f64::total_cmp);
+    v[((v.len() - 1) as f64 * q) as usize]
+}
+
+fn shrinking(name: &str, smooth: &World, rough: &World) {
+    for surveys in [false, true] {
+        for ask in [Ask::Metres(0.0), Ask::Metres(3.0), Ask::Metres(12.0)]
+            .into_iter()
+            .chain(asks(smooth).into_iter().skip(5))
+        {
+            let mut r = Random::new(seeds(1)[0] + 64_000);
+            let lines = borders(smooth, &mut r, surveys, 600);
+            for world in [smooth, rough] {
+                let found = jumps(world, &ask, &lines, 0.04);
+                let at = |q: f64| [0, 1, 2].map(|n| format!("{:.1e}", quantile(found.iter().map(|j| j[n]).collect(), q)));
+                let kind = world.snapshot.kind().name();
+                let what = if surveys { "surveys" } else { "patches" };
+                println!(
+                    "{name} {what} {ask:?} {kind}: {} lines, p50 {:?} p90 {:?} max {:?}",
+                    found.len(),
+                    at(0.5),
+                    at(0.9),
+                    at(1.0)
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn second_differences_across_borders_fall_with_the_step() {
+    for policy in [Policy::Newest, Policy::Accuracy] {
+        let name = format!("helens {policy:?}");
+        shrinking(&name, &helens(Kind::Bicubic, policy), &helens(Kind::Bilinear, policy));
+    }
+    let kit = [Kind::Bicubic, Kind::Bilinear].map(|k| worlds::kit_of(Policy::Accuracy, k));
+    if let [Some(smooth), Some(rough)] = kit {
+        shrinking("kit", &smooth, &rough);
+    }
+}
+
+#[test]
+fn a_bilinear_database_has_no_curvature_and_says_so() {
+    let s = Scratch::new(Policy::Accuracy);
+    let g = helens_grid("2004-10-13", 0.5);
+    s.ingest(&g);
+    let snapshot = s.db.snapshot(None).unwrap();
+    let ground = snapshot.surface(&Ask::Metres(0.0).query(None)).unwrap();
+    let said = ground.curvatures(&[[0.0; 2]]).unwrap_err().to_string();
+    assert!(said.contains("bilinear") && said.contains("--patch bicubic"), "{said}");
+}
+
+#[test]
+fn the_program_makes_opens_and_checks_bicubic_databases() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |n: &str| folder.path().join(n).to_str().unwrap().to_string();
+    let (smooth, rough) = (path("smooth"), path("rough"));
+    let file = bundled("st_helens/survey_2004-10-13_native.tif");
+    let file = file.to_str().unwrap();
+    for (db, kind) in [(&smooth, "bicubic"), (&rough, "bilinear")] {
+        let made = program(&["init", db, "--crs", "EPSG:26910", "--patch", kind]);
+        let said = String::from_utf8_lossy(&made.stderr).to_string();
+        assert!(made.status.success() && said.contains(&format!("{kind} patches")), "{said}");
+        crate::support::printed(&["ingest", db, file, "--name", "dome", "--accuracy", "0.5"]);
+        crate::support::printed(&["verify", db]);
+    }
+    // Not one patch in common, the exact ones of level 0 included.
+    let ids = |db: &str| -> std::collections::BTreeSet<String> {
+        let lines = crate::support::printed(&["boxes", db]);
+        lines
+            .lines()
+            .map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap()["id"].to_string())
+            .collect()
+    };
+    let (a, b) = (ids(&smooth), ids(&rough));
+    assert!(a.len() == b.len() && a.is_disjoint(&b));
+    assert_eq!(Db::open(std::path::Path::new(&smooth)).unwrap().kind(), Kind::Bicubic);
+    crate::support::printed(&["export", &smooth, &path("dome.glb"), "--error", "3"]);
+    let said = refused(&["init", &path("x"), "--crs", "EPSG:26910", "--patch", "quintic"], 2);
+    assert!(said.contains("bicubic"), "{said}");
+}
