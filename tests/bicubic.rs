@@ -1,6 +1,7 @@
 //! Databases of bicubic patches: the surface is of class C2 across patches, levels and surveys, and everything that is
 //! promised for bilinear databases holds (LOD-space specification, sections 5.4, 7, 8, 9).
 
+use crate::certified::continuity::fade;
 use crate::certified::reference::{Spot, World};
 use crate::certified::worlds::{self, Ask, asks};
 use crate::certified::{heights, random_worlds_of, scatter};
@@ -230,13 +231,26 @@ fn curvature_inside_one_patch_is_that_of_its_spline() {
     assert!(alone > 200 && blended > 200 && worst < 0.05, "{alone} {blended} {worst}");
 }
 
-/// Points on borders and the direction across: of kernels and domains (patches and levels), and of core' (surveys).
-fn borders(world: &World, r: &mut Random, surveys: bool, count: usize) -> Vec<([f64; 2], [f64; 2])> {
+/// Points and the directions across: on borders of kernels and domains (of all levels), of core' (of surveys), and where
+/// a patch begins or ends to fade in or out with the tolerance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Across {
+    Patches,
+    Surveys,
+    Fades,
+}
+
+type Line = ([f64; 2], [f64; 2]);
+
+fn lines(world: &World, r: &mut Random, ask: &Ask, across: Across, count: usize) -> Vec<Line> {
     let mut out = Vec::new();
     while out.len() < count {
-        let k = r.below(world.surveys.len() as u64) as usize;
-        let s = &world.surveys[k];
-        let list = if surveys { &s.rim } else { &s.cells };
+        let s = &world.surveys[r.below(world.surveys.len() as u64) as usize];
+        if across == Across::Fades {
+            out.extend(fade(world, r, ask, &[1.0, 1.1]));
+            continue;
+        }
+        let list = if across == Across::Surveys { &s.rim } else { &s.cells };
         if list.is_empty() {
             continue;
         }
@@ -244,7 +258,7 @@ fn borders(world: &World, r: &mut Random, surveys: bool, count: usize) -> Vec<([
         let axis = r.below(2) as usize;
         let mut part = [r.unit(), r.unit()];
         part[axis] = 0.0;
-        if surveys {
+        if across == Across::Surveys {
             // Either side of the rim, where v begins and where it ends.
             cell[axis] += r.below(4) as i64 - 1;
         } else {
@@ -255,77 +269,122 @@ fn borders(world: &World, r: &mut Random, surveys: bool, count: usize) -> Vec<([
         }
         let p = s.point(cell, part);
         if world.best(p).1 {
-            let across = if axis == 0 { s.posts.u } else { s.posts.v };
-            let unit = 1.0 / (1u64 << 35) as f64;
-            out.push((p, across.map(|c| c as f64 * unit)));
+            let step = if axis == 0 { s.posts.u } else { s.posts.v };
+            out.push((p, step.map(|c| c as f64 / (1u64 << 35) as f64)));
         }
     }
     out
 }
 
-/// Jumps of the second difference across borders, metres per squared cell, for steps of h, h/2 and h/4 cells: that of the
-/// three points after the border less that of the three before.
-fn jumps(world: &World, ask: &Ask, lines: &[([f64; 2], [f64; 2])], h: f64) -> Vec<[f64; 3]> {
-    let steps = [h, h / 2.0, h / 4.0];
+/// Steps across a border in cells: each half of the one before.
+const STEPS: [f64; 5] = [0.04, 0.02, 0.01, 0.005, 0.0025];
+
+/// How far the second differences before, on and after a border are apart, metres per squared cell, by step. It falls
+/// with the step where the second derivative is continuous; a jump of it would stay, a kink grow.
+fn jumps(world: &World, ask: &Ask, lines: &[Line]) -> Vec<[f64; 5]> {
     let mut points = Vec::new();
     for (p, d) in lines {
-        for h in steps {
+        for h in STEPS {
             points.extend((-2..3).map(|k| [0, 1].map(|a| p[a] + f64::from(k) * h * d[a])));
         }
     }
-    let z = heights(world, ask, &points);
-    z.chunks_exact(15)
-        .map(|z| {
-            std::array::from_fn(|n| {
-                let f: Vec<f64> =
-                    z[5 * n..5 * n + 5].iter().map(|e| e.as_ref().map_or(f64::NAN, |e| e.z)).collect();
-                let h2 = steps[n] * steps[n];
-                let (before, after) = ((f[0] - 2.0 * f[1] + f[2]) / h2, (f[2] - 2.0 * f[3] + f[4]) / h2);
-                (after - before).abs()
-            })
-        })
-        .filter(|j: &[f64; 3]| j.iter().all(|j| j.is_finite()))
+    let z: Vec<f64> =
+        heights(world, ask, &points).iter().map(|e| e.as_ref().map_or(f64::NAN, |e| e.z)).collect();
+    let jump = |f: &[f64], h: f64| {
+        let bends: Vec<f64> = (0..3).map(|k| (f[k] - 2.0 * f[k + 1] + f[k + 2]) / (h * h)).collect();
+        (0..3).map(|k| (bends[k] - bends[(k + 1) % 3]).abs()).fold(0.0, f64::max)
+    };
+    let all = z.chunks_exact(5 * STEPS.len());
+    all.filter(|z| z.iter().all(|z| z.is_finite()))
+        .map(|z| std::array::from_fn(|n| jump(&z[5 * n..5 * n + 5], STEPS[n])))
         .collect()
 }
 
-fn quantile(mut v: Vec<f64>, q: f64) -> f64 {
-    v.sort_by(f64::total_cmp);
-    v[((v.len() - 1) as f64 * q) as usize]
+/// Heights carry an error of a few 1e-10 cells in the position: in a second difference, this much a squared step.
+const ROUNDING: f64 = 2e-8;
+
+/// The second derivatives before and after a border, by the analytic ones: how far apart for ever smaller steps.
+fn apart(world: &World, ask: &Ask, lines: &[Line]) -> Vec<[f64; 3]> {
+    let Ask::Metres(_) = ask else { return Vec::new() };
+    let ground = world.snapshot.surface(&ask.query(None)).unwrap();
+    let at = |h: f64| {
+        let points: Vec<[f64; 2]> = lines.iter().map(|(p, d)| [0, 1].map(|a| p[a] + h * d[a])).collect();
+        ground.curvatures(&points).unwrap()
+    };
+    let sides = [1e-3, 1e-4, 1e-5].map(|h| (at(-h), at(h)));
+    let found = lines.iter().enumerate().map(|(k, (_, d))| {
+        sides.each_ref().map(|(before, after)| {
+            let (Some(a), Some(b)) = (&before[k], &after[k]) else { return f64::NAN };
+            let off = (0..3).map(|n| (a.hessian[n] - b.hessian[n]).abs()).fold(0.0, f64::max);
+            off * (d[0] * d[0] + d[1] * d[1])
+        })
+    });
+    found.filter(|j| j.iter().all(|j| j.is_finite())).collect()
 }
 
+fn quantile<const N: usize>(v: &[[f64; N]], q: f64) -> [f64; N] {
+    std::array::from_fn(|n| {
+        let mut column: Vec<f64> = v.iter().map(|j| j[n]).collect();
+        column.sort_by(f64::total_cmp);
+        column[((column.len() - 1) as f64 * q) as usize]
+    })
+}
+
+/// Second differences across borders fall with the step in the bicubic world; in the bilinear one, of the same surveys,
+/// they grow.
 fn shrinking(name: &str, smooth: &World, rough: &World) {
-    for surveys in [false, true] {
-        for ask in [Ask::Metres(0.0), Ask::Metres(3.0), Ask::Metres(12.0)]
-            .into_iter()
-            .chain(asks(smooth).into_iter().skip(5))
-        {
+    let eyes: Vec<Ask> = asks(smooth).into_iter().skip(5).collect();
+    let uniform = [0.0, 3.0, 12.0].map(Ask::Metres);
+    for across in [Across::Patches, Across::Surveys, Across::Fades] {
+        let asks = if across == Across::Fades { &eyes[..] } else { &uniform[..] };
+        let (mut falls, mut grows, mut analytic) = (Vec::new(), Vec::new(), Vec::new());
+        for ask in asks {
             let mut r = Random::new(seeds(1)[0] + 64_000);
-            let lines = borders(smooth, &mut r, surveys, 600);
-            for world in [smooth, rough] {
-                let found = jumps(world, &ask, &lines, 0.04);
-                let at = |q: f64| [0, 1, 2].map(|n| format!("{:.1e}", quantile(found.iter().map(|j| j[n]).collect(), q)));
-                let kind = world.snapshot.kind().name();
-                let what = if surveys { "surveys" } else { "patches" };
-                println!(
-                    "{name} {what} {ask:?} {kind}: {} lines, p50 {:?} p90 {:?} max {:?}",
-                    found.len(),
-                    at(0.5),
-                    at(0.9),
-                    at(1.0)
-                );
+            let found = lines(smooth, &mut r, ask, across, 300);
+            falls.extend(jumps(smooth, ask, &found));
+            analytic.extend(apart(smooth, ask, &found));
+            grows.extend(jumps(rough, ask, &lines(rough, &mut r, ask, across, 300)));
+        }
+        for (kind, j) in [("bicubic", &falls), ("bilinear", &grows)] {
+            println!("{name} {across:?} {kind}: {} lines", j.len());
+            for q in [0.5, 0.9, 1.0] {
+                println!("    quantile {q}: {}", quantile(j, q).map(|v| format!("{v:8.1e}")).join(" "));
             }
+        }
+        let (first, last) = (STEPS[0], STEPS[4]);
+        for q in [0.5, 0.9] {
+            let j = quantile(&falls, q);
+            let most = j[0] * 1.3 * last / first + ROUNDING / (last * last);
+            assert!(
+                j[4] <= most,
+                "{name} {across:?}: quantile {q} falls from {} to {}, at most {most}",
+                j[0],
+                j[4]
+            );
+        }
+        // Every single line, once the step is within the steep part of a border between surveys.
+        for j in &falls {
+            let most = 0.7 * j[..4].iter().copied().fold(0.0, f64::max) + ROUNDING / (last * last);
+            assert!(j[4] <= most, "{name} {across:?}: {j:?}");
+        }
+        let worst = quantile(&grows, 1.0);
+        assert!(worst[4] > 2.0 * worst[0], "{name} {across:?}: bilinear kinks should grow: {worst:?}");
+        for j in &analytic {
+            assert!(j[2] <= 0.3 * j[1].max(j[0]) + 1e-5, "{name} {across:?}: {j:?}");
+        }
+        if !analytic.is_empty() {
+            println!("    analytic, largest at 1e-3, 1e-4, 1e-5 cells: {:?}", quantile(&analytic, 1.0));
         }
     }
 }
 
 #[test]
-fn second_differences_across_borders_fall_with_the_step() {
-    for policy in [Policy::Newest, Policy::Accuracy] {
-        let name = format!("helens {policy:?}");
-        shrinking(&name, &helens(Kind::Bicubic, policy), &helens(Kind::Bilinear, policy));
-    }
-    let kit = [Kind::Bicubic, Kind::Bilinear].map(|k| worlds::kit_of(Policy::Accuracy, k));
-    if let [Some(smooth), Some(rough)] = kit {
+fn second_differences_across_borders_of_real_surveys_fall_with_the_step() {
+    let [smooth, rough] = [Kind::Bicubic, Kind::Bilinear].map(|k| helens(k, Policy::Newest));
+    shrinking("helens", &smooth, &rough);
+    if let [Some(smooth), Some(rough)] =
+        [Kind::Bicubic, Kind::Bilinear].map(|k| worlds::kit_of(Policy::Accuracy, k))
+    {
         shrinking("kit", &smooth, &rough);
     }
 }

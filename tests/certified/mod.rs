@@ -5,7 +5,7 @@
 //! Points nearer than 1e-6 cells to a border of core' may be taken for points beyond it, as coordinates are
 //! `f64`: there only what both sides promise is asked.
 
-mod continuity;
+pub mod continuity;
 mod equality;
 mod errors;
 mod gaps;
