@@ -11,6 +11,7 @@ use crate::db::{self, Change, Db, Ingest, Options, Policy};
 use crate::format;
 use crate::height::crs::Crs;
 use crate::height::lod::cut::Camera;
+use crate::height::patch::Kind;
 use crate::height::surface::Blend;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -96,7 +97,7 @@ impl Demo {
         out.line("at 2 m on ragged footprints, and the whole crater again in June 2005 at 10 m (USGS, public domain).")?;
         out.line("Policy 'newest': where surveys overlap, the later one is the ground.\n")?;
 
-        let options = Options { crs: Crs::from_epsg(26910)?, policy: Policy::Newest };
+        let options = Options { crs: Crs::from_epsg(26910)?, policy: Policy::Newest, patch: Kind::Bilinear };
         let path = dir.join("helens");
         let db = Db::create(&path, &options)?;
         for b in &SURVEYS {

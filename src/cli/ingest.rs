@@ -7,6 +7,7 @@ use crate::base::{Error, Result};
 use crate::db::{self, Change, Db, Options, Outcome, Policy, Progress};
 use crate::format;
 use crate::height::crs::{Crs, DatumChoice};
+use crate::height::patch::Kind;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -20,13 +21,17 @@ enum PolicyName {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum PatchKind {
+    /// Continuous; fastest
     Bilinear,
+    /// Cubic splines: slopes and curvature are continuous, too
     Bicubic,
 }
 
 /// Make a new, empty database
 #[derive(Args)]
-#[command(after_help = "Example:\n  terraquilt init pit --crs EPSG:32610 --policy newest")]
+#[command(
+    after_help = "Examples:\n  terraquilt init pit --crs EPSG:32610 --policy newest\n  terraquilt init dunes --crs EPSG:32611 --patch bicubic"
+)]
 pub struct Init {
     /// Directory to make
     db: PathBuf,
@@ -36,16 +41,13 @@ pub struct Init {
     /// Who wins where surveys overlap
     #[arg(long, value_enum, default_value = "accuracy")]
     policy: PolicyName,
-    /// Kind of patches
+    /// Kind of patches: what lies between posts
     #[arg(long, value_enum, default_value = "bilinear")]
     patch: PatchKind,
 }
 
 impl Init {
     pub fn run(self) -> Result<bool> {
-        if matches!(self.patch, PatchKind::Bicubic) {
-            return Err(Error::unsupported("--patch bicubic", "not there yet", "use --patch bilinear"));
-        }
         let Some(crs) = self.crs else {
             return Err(Error::invalid(
                 "--crs",
@@ -56,12 +58,17 @@ impl Init {
             PolicyName::Accuracy => Policy::Accuracy,
             PolicyName::Newest => Policy::Newest,
         };
-        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy })?;
+        let patch = match self.patch {
+            PatchKind::Bilinear => Kind::Bilinear,
+            PatchKind::Bicubic => Kind::Bicubic,
+        };
+        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy, patch })?;
         message(&format!(
-            "made {} in {}, policy {}; next: terraquilt ingest {} FILE --accuracy METRES",
+            "made {} in {}, policy {}, {} patches; next: terraquilt ingest {} FILE --accuracy METRES",
             db.path().display(),
             db.crs().code,
             policy.name(),
+            patch.name(),
             db.path().display()
         ));
         Ok(true)

@@ -94,6 +94,7 @@ impl Writing {
                 .collect::<Result<Vec<_>>>()?;
             let page = |at| view.patch_page(r.survey, at);
             let input = Input {
+                kind: db.kind(),
                 declaration: r.declaration,
                 tiles,
                 before: r.before.as_ref().map(|h| Before { head: h, page: &page }),

@@ -10,6 +10,7 @@ use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::LatticeUnit;
+use crate::height::patch::Kind;
 use crate::store::catalog::{Catalog, Commit, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
 use crate::store::lock::{Lease, WriterLock, leased};
@@ -52,6 +53,8 @@ impl Policy {
 pub struct Options {
     pub crs: Crs,
     pub policy: Policy,
+    /// What lies between vertices.
+    pub patch: Kind,
 }
 
 /// Opens the catalog of a database directory: for writing (`true`) or reading.
@@ -64,11 +67,13 @@ pub struct Db {
     catalog: CatalogOpener,
     crs: Crs,
     policy: Policy,
+    kind: Kind,
     unit: LatticeUnit,
 }
 
-/// The constants that every database of this format has; a database with others is of another program.
-pub(super) fn constants_known() -> BTreeMap<&'static str, String> {
+/// The constants that every database of this format and kind of patches has; a database with others is of another
+/// program.
+pub(super) fn constants(kind: Kind) -> BTreeMap<&'static str, String> {
     use crate::height::{lod, surface};
     use crate::store::quadtree;
     [
@@ -80,8 +85,8 @@ pub(super) fn constants_known() -> BTreeMap<&'static str, String> {
         ("kappa", surface::KAPPA.to_string()),
         ("kernel", lod::KERNEL.to_string()),
         ("margin", lod::MARGIN.to_string()),
-        ("patch", "bilinear".to_string()),
-        ("weight", "hat, unit volume".to_string()),
+        ("patch", kind.name().to_string()),
+        ("weight", kind.weight_name().to_string()),
         ("sharding", "0".to_string()),
     ]
     .into()
@@ -116,7 +121,7 @@ impl Db {
         }
         let unit = LatticeUnit::for_crs(&options.crs);
         let mut constants: BTreeMap<String, String> =
-            constants_known().into_iter().map(|(k, v)| (k.to_string(), v)).collect();
+            constants(options.patch).into_iter().map(|(k, v)| (k.to_string(), v)).collect();
         constants.insert("crs".into(), options.crs.code.clone());
         constants.insert("crs_unit".into(), options.crs.unit.to_string());
         constants.insert("policy".into(), options.policy.name().into());
@@ -181,8 +186,16 @@ impl Db {
                 "use a newer terraquilt",
             ));
         }
-        let known = constants_known();
-        let fixed = ["kernel", "margin", "patch", "weight", "kappa", "tree_capacity", "tree_depth_max"];
+        let kind = Kind::parse(get("patch")?).ok_or_else(|| {
+            let known = Kind::ALL.map(|k| format!("'{}'", k.name())).join(" and ");
+            Error::unsupported(
+                root.display(),
+                format!("constant patch is '{}', this program knows {known}", constants["patch"]),
+                "use a newer terraquilt",
+            )
+        })?;
+        let known = self::constants(kind);
+        let fixed = ["kernel", "margin", "weight", "kappa", "tree_capacity", "tree_depth_max"];
         for name in fixed.into_iter().chain(["sharding", "world_half_log2", "derivation_version"]) {
             let known = &known[name];
             let found = get(name)?;
@@ -220,6 +233,7 @@ impl Db {
             catalog,
             crs: Crs { code: get("crs")?.clone(), unit },
             policy,
+            kind,
             unit: LatticeUnit { exponent },
         })
     }
@@ -232,6 +246,10 @@ impl Db {
     }
     pub fn policy(&self) -> Policy {
         self.policy
+    }
+    /// What lies between vertices.
+    pub fn kind(&self) -> Kind {
+        self.kind
     }
     pub fn unit(&self) -> LatticeUnit {
         self.unit
@@ -272,6 +290,7 @@ impl Db {
                     unit: self.unit,
                     crs: self.crs.clone(),
                     policy: self.policy,
+                    kind: self.kind,
                     _lease: None,
                 });
             };
@@ -290,6 +309,7 @@ impl Db {
                 unit: self.unit,
                 crs: self.crs.clone(),
                 policy: self.policy,
+                kind: self.kind,
                 _lease: Some(lease),
             });
         }
@@ -355,6 +375,7 @@ pub struct Snapshot {
     pub(super) unit: LatticeUnit,
     pub(super) crs: Crs,
     pub(super) policy: Policy,
+    kind: Kind,
     _lease: Option<Lease>,
 }
 
@@ -374,6 +395,10 @@ impl Snapshot {
     }
     pub fn policy(&self) -> Policy {
         self.policy
+    }
+    /// What lies between vertices.
+    pub fn kind(&self) -> Kind {
+        self.kind
     }
     /// A survey by name or id prefix.
     pub fn survey(&self, name: &str) -> Result<&super::root::SurveyEntry> {

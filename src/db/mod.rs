@@ -12,6 +12,7 @@ mod check;
 mod commit;
 mod database;
 mod declare;
+mod errors;
 mod export;
 mod fingerprint;
 mod head;

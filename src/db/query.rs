@@ -8,7 +8,7 @@ use crate::height::cells::{Block, Fill};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::cut::{Camera, Constant, Cut, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
-use crate::height::patch::Vertices;
+use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
     Blend, Evaluation, Hood, How, KAPPA, Patch, Sheet, Source, Surface, SurveyField,
 };
@@ -286,12 +286,13 @@ impl Snapshot {
                 floor: r.floor,
             })
             .collect();
-        let surface = Surface::new(origin, self.unit, fields, patches, how.blend);
+        let surface = Surface::new(self.kind(), origin, self.unit, fields, patches, how.blend);
         let data = Data {
             view: &self.view,
+            kind: self.kind(),
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
-            vertices: Cache::new(4096),
+            shapes: Cache::new(shapes_cached(self.kind())),
             hoods: Cache::new(65536),
         };
         Ground { snapshot: self, surface, cut, data, selection }
@@ -360,25 +361,34 @@ impl Snapshot {
     }
 }
 
+/// Patches that a surface keeps decoded: some 36 MB of either kind.
+fn shapes_cached(kind: Kind) -> usize {
+    match kind {
+        Kind::Bilinear => 4096,
+        Kind::Bicubic => 1024,
+    }
+}
+
 /// Where a surface gets its numbers: the tables of a version, cached.
 struct Data<'a> {
     view: &'a View,
+    kind: Kind,
     surveys: Vec<SurveyNumber>,
     patches: Vec<(usize, Place)>,
-    vertices: Cache<usize, Arc<Vertices>>,
+    shapes: Cache<usize, Arc<Shape>>,
     hoods: Cache<(usize, i32, i32), Arc<Hood>>,
 }
 
 impl Source for Data<'_> {
-    fn vertices(&self, patch: usize) -> Result<Arc<Vertices>> {
-        if let Some(v) = self.vertices.get(&patch) {
-            return Ok(v);
+    fn shape(&self, patch: usize) -> Result<Arc<Shape>> {
+        if let Some(s) = self.shapes.get(&patch) {
+            return Ok(s);
         }
         let (survey, place) = self.patches[patch];
-        let z = self.view.with_samples(self.surveys[survey], |r| r.vertices(place))?;
-        let z: Arc<Vertices> = Arc::from(z);
-        self.vertices.insert(patch, z.clone());
-        Ok(z)
+        let z = self.view.with_samples(self.surveys[survey], |r| r.vertices(self.kind, place))?;
+        let shape = Arc::new(Shape::new(self.kind, z));
+        self.shapes.insert(patch, shape.clone());
+        Ok(shape)
     }
 
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>> {
@@ -439,6 +449,14 @@ impl Ground<'_> {
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
         let parts: Vec<Vec<Option<Evaluation>>> =
             points.par_chunks(2048).map(|c| self.sheet().slopes(c)).collect::<Result<_>>()?;
+        Ok(parts.into_iter().flatten().collect())
+    }
+
+    /// Heights with gradients and second derivatives, in parallel, for points of the region. Refused where patches are
+    /// bilinear.
+    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        let parts: Vec<Vec<Option<Evaluation>>> =
+            points.par_chunks(2048).map(|c| self.sheet().curvatures(c)).collect::<Result<_>>()?;
         Ok(parts.into_iter().flatten().collect())
     }
 

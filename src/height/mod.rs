@@ -2,7 +2,7 @@
 //!
 //! [`source`] is what a survey file gives (rows on demand); [`crs`] what its coordinates mean;
 //! [`frame`] places posts on the exact integer lattice; [`cells`] are sets of level-0 cells; [`patch`]
-//! are bilinear pieces with a stored error; [`lod`] orders them, cuts their boxes and decides coverage
+//! are bilinear or spline pieces with a stored error; [`lod`] orders them, cuts their boxes and decides coverage
 //! exactly; [`surface`] blends them into the one function that is measured and drawn.
 
 pub mod block;

@@ -1,12 +1,13 @@
 //! Evaluating the surface: which patches reach a point, their weights, their blend.
 
-use super::{Dual, Hood, KAPPA, Real, outside};
-use crate::base::Result;
+use super::buckets::Buckets;
+use super::{Dual, Hood, Jet, KAPPA, Real, outside};
 use crate::base::lattice::Point;
+use crate::base::{Error, Result};
 use crate::height::frame::{Frame, LatticeUnit};
 use crate::height::lod::cut::Cut;
 use crate::height::lod::{Geometry, KERNEL, MARGIN, PatchId, Place};
-use crate::height::patch::{Vertices, evaluate};
+use crate::height::patch::{Kind, Shape};
 use std::sync::Arc;
 
 /// How patches are blended.
@@ -73,8 +74,8 @@ pub struct Patch {
 
 /// Where heights and cells come from.
 pub trait Source: Sync {
-    /// The vertices of the n-th patch of the surface.
-    fn vertices(&self, patch: usize) -> Result<Arc<Vertices>>;
+    /// The n-th patch of the surface, ready to be evaluated.
+    fn shape(&self, patch: usize) -> Result<Arc<Shape>>;
     /// Cells of core' around a level-0 block of the n-th survey.
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>>;
 }
@@ -85,6 +86,8 @@ pub struct Evaluation {
     pub z: f64,
     /// Height metres per CRS unit, by x and y (0 unless asked for).
     pub gradient: [f64; 2],
+    /// Height metres per squared CRS unit, by xx, xy and yy (0 unless asked for).
+    pub hessian: [f64; 3],
     /// Largest error of the contributing patches, metres.
     pub error_m: f64,
     /// Stated accuracy of the best survey there, metres.
@@ -99,95 +102,14 @@ pub struct Evaluation {
 
 /// A selected set of patches over a region, ready to be evaluated.
 pub struct Surface {
+    /// What lies between vertices; weights and fades are as smooth.
+    pub kind: Kind,
     origin: [f64; 2],
     pub surveys: Vec<SurveyField>,
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
     pub blend: Blend,
     index: Buckets,
-}
-
-/// Which patches may contain a point: a uniform grid of lists, about two squares a patch.
-struct Buckets {
-    min: [f64; 2],
-    per_unit: [f64; 2],
-    count: [usize; 2],
-    /// Ends of the lists, row by row; the lists themselves, each ascending.
-    ends: Vec<u32>,
-    lists: Vec<u32>,
-}
-
-impl Buckets {
-    /// `boxes`: xmin, ymin, xmax, ymax of each patch.
-    fn new(boxes: &[[f64; 4]]) -> Buckets {
-        let b = boxes
-            .iter()
-            .fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |b, x| {
-                [b[0].min(x[0]), b[1].min(x[1]), b[2].max(x[2]), b[3].max(x[3])]
-            });
-        if boxes.is_empty() {
-            return Buckets {
-                min: [0.0; 2],
-                per_unit: [0.0; 2],
-                count: [0; 2],
-                ends: Vec::new(),
-                lists: Vec::new(),
-            };
-        }
-        let (w, h) = ((b[2] - b[0]).max(1e-12), (b[3] - b[1]).max(1e-12));
-        let squares = (2 * boxes.len()).clamp(1, 1 << 20) as f64;
-        let nx = ((squares * w / h).sqrt().ceil().clamp(1.0, squares)) as usize;
-        let ny = ((squares / nx as f64).ceil().clamp(1.0, squares)) as usize;
-        let mut grid = Buckets {
-            min: [b[0], b[1]],
-            per_unit: [nx as f64 / w, ny as f64 / h],
-            count: [nx, ny],
-            ends: vec![0; nx * ny],
-            lists: Vec::new(),
-        };
-        let spans: Vec<([usize; 2], [usize; 2])> =
-            boxes.iter().map(|x| (grid.square([x[0], x[1]]), grid.square([x[2], x[3]]))).collect();
-        for (lo, hi) in &spans {
-            for y in lo[1]..=hi[1] {
-                for x in lo[0]..=hi[0] {
-                    grid.ends[y * nx + x] += 1;
-                }
-            }
-        }
-        let mut total = 0;
-        for e in &mut grid.ends {
-            total += *e;
-            *e = total - *e;
-        }
-        grid.lists = vec![0; total as usize];
-        for (k, (lo, hi)) in spans.iter().enumerate() {
-            for y in lo[1]..=hi[1] {
-                for x in lo[0]..=hi[0] {
-                    let at = &mut grid.ends[y * nx + x];
-                    grid.lists[*at as usize] = k as u32;
-                    *at += 1;
-                }
-            }
-        }
-        grid
-    }
-
-    fn square(&self, p: [f64; 2]) -> [usize; 2] {
-        [0, 1].map(|k| {
-            let t = (p[k] - self.min[k]) * self.per_unit[k];
-            (t.max(0.0) as usize).min(self.count[k].saturating_sub(1))
-        })
-    }
-
-    fn at(&self, p: [f64; 2]) -> &[u32] {
-        if self.ends.is_empty() {
-            return &[];
-        }
-        let s = self.square(p);
-        let k = s[1] * self.count[0] + s[0];
-        let from = if k == 0 { 0 } else { self.ends[k - 1] };
-        &self.lists[from as usize..self.ends[k] as usize]
-    }
 }
 
 /// Surface, tolerance and data together: what can be asked for heights.
@@ -232,6 +154,7 @@ impl SurveyField {
 impl Surface {
     /// Patches must be those of the needed set of the region (any superset gives the same surface).
     pub fn new(
+        kind: Kind,
         origin: [f64; 2],
         unit: LatticeUnit,
         surveys: Vec<SurveyField>,
@@ -256,7 +179,7 @@ impl Surface {
             })
             .collect();
         let index = Buckets::new(&boxes);
-        Surface { origin, surveys, patches, blend, index }
+        Surface { kind, origin, surveys, patches, blend, index }
     }
 }
 
@@ -272,8 +195,8 @@ struct At<T> {
 pub(super) struct Scratch {
     /// Per survey: the block met last.
     hoods: Vec<Option<MetHood>>,
-    /// Vertices met lately, by patch number modulo their count.
-    last: Vec<Option<(u32, Arc<Vertices>)>>,
+    /// Patches met lately, by number modulo their count.
+    last: Vec<Option<(u32, Arc<Shape>)>>,
     /// Weights and errors of the contributors at the point.
     shares: Vec<(f64, f32)>,
 }
@@ -287,7 +210,7 @@ pub type Explained = (Evaluation, Vec<(usize, f64)>);
 /// Shares of the sum of weights below this are rounding: such a patch does not count as a contributor.
 const SHARE_MIN: f64 = 1e-12;
 
-/// Patches whose vertices a thread keeps at hand.
+/// Patches that a thread keeps at hand.
 const LATELY: usize = 64;
 /// Surveys whose state at a point needs no allocation.
 const FEW: usize = 8;
@@ -301,6 +224,19 @@ impl Sheet<'_> {
     /// Heights with analytic gradients.
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
         self.each(points, |s, p| self.evaluate::<Dual>(p, s, None))
+    }
+
+    /// Heights with analytic gradients and second derivatives. Refused where patches are bilinear: their surface has
+    /// kinks, and between them no bend of the ground.
+    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        if self.surface.kind == Kind::Bilinear {
+            return Err(Error::unsupported(
+                "curvature",
+                "the patches of this database are bilinear: their surface has kinks instead of curvature",
+                "make a database with `terraquilt init DB --patch bicubic` and ingest the surveys there",
+            ));
+        }
+        self.each(points, |s, p| self.evaluate::<Jet>(p, s, None))
     }
 
     /// A height and who contributed to it: patch number and normalised weight, largest first.
@@ -346,7 +282,16 @@ impl Sheet<'_> {
         };
         let x = index[0] - T::constant(block[0] * KERNEL as f64);
         let y = index[1] - T::constant(block[1] * KERNEL as f64);
-        Ok(At { index, outside: outside(&hood, x, y) })
+        Ok(At { index, outside: outside(&hood, self.surface.kind, x, y) })
+    }
+
+    fn tolerance<T: Real>(&self, p: [f64; 2]) -> T {
+        let z = self.cut.at(p);
+        match T::ORDER {
+            0 => T::constant(z),
+            1 => T::with_hessian(z, self.cut.gradient(p), [0.0; 3]),
+            _ => T::with_hessian(z, self.cut.gradient(p), self.cut.hessian(p)),
+        }
     }
 
     fn evaluate<T: Real>(
@@ -365,10 +310,8 @@ impl Sheet<'_> {
             many.resize(surface.surveys.len(), None);
             &mut many
         };
-        let tolerance = {
-            let g = self.cut.gradient(point);
-            T::with_gradient(self.cut.at(point), g[0], g[1])
-        };
+        let tolerance = self.tolerance::<T>(point);
+        let volume = surface.kind.volume();
         let mut weights = T::constant(0.0);
         let mut sum = T::constant(0.0);
         let mut reference = None;
@@ -391,15 +334,16 @@ impl Sheet<'_> {
             let cell = |k: usize, first: i64| (here.index[k] - T::constant(first as f64)).scale(1.0 / r);
             let (a, b) = (cell(0, domain.i0), cell(1, domain.j0));
             let half = (KERNEL / 2 + MARGIN) as f64;
-            let hat = |c: T| {
+            let bump = |c: T| {
                 let t = c.scale(1.0 / half) - T::constant(1.0);
-                if t.value() < 0.0 { T::constant(1.0) + t } else { T::constant(1.0) - t }
+                let inwards = if t.value() < 0.0 { T::constant(1.0) + t } else { T::constant(1.0) - t };
+                inwards.bump(surface.kind)
             };
-            let (wa, wb) = (hat(a), hat(b));
+            let (wa, wb) = (bump(a), bump(b));
             if wa.value() <= 0.0 || wb.value() <= 0.0 {
                 continue;
             }
-            let mut weight = (wa * wb).scale(1.0 / (survey.half[0] * r * (survey.half[1] * r)));
+            let mut weight = (wa * wb).scale(volume / (survey.half[0] * r * (survey.half[1] * r)));
             if surface.blend == Blend::Exact {
                 let level = self.level::<T>(patch, tolerance, p, s, at)?;
                 if level.value() <= 0.0 {
@@ -412,13 +356,11 @@ impl Sheet<'_> {
             }
             s.last.resize(LATELY, None);
             let slot = &mut s.last[k as usize % LATELY];
-            let z = match slot {
-                Some((n, z)) if *n == k => z,
-                _ => &slot.insert((k, self.source.vertices(k as usize)?)).1,
+            let shape = match slot {
+                Some((n, shape)) if *n == k => shape,
+                _ => &slot.insert((k, self.source.shape(k as usize)?)).1,
             };
-            let (f, fa, fb) = evaluate(z, a.value(), b.value());
-            let (ga, gb) = (a.gradient(), b.gradient());
-            let f = T::with_gradient(f, fa * ga[0] + fb * gb[0], fa * ga[1] + fb * gb[1]);
+            let f = T::of_patch(shape.at(a.value(), b.value()), a, b);
             // Sums are taken relative to the first height: no digits are lost on high ground.
             let zero = *reference.get_or_insert(f.value());
             weights = weights + weight;
@@ -452,6 +394,7 @@ impl Sheet<'_> {
         Ok(Some(Evaluation {
             z: zero + f.value(),
             gradient: f.gradient(),
+            hessian: f.hessian(),
             error_m: f64::from(error),
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
@@ -469,12 +412,12 @@ impl Sheet<'_> {
         s: &mut Scratch,
         at: &mut [Option<At<T>>],
     ) -> Result<T> {
-        let one = T::constant(1.0);
+        let (one, kind) = (T::constant(1.0), self.surface.kind);
         let (bot, top) = (f64::from(patch.bot), f64::from(patch.top));
         let down = if top.is_infinite() {
             one
         } else {
-            one - (z - T::constant(top)).scale(1.0 / ((KAPPA - 1.0) * top)).ramp()
+            one - (z - T::constant(top)).scale(1.0 / ((KAPPA - 1.0) * top)).ramp(kind)
         };
         if down.value() <= 0.0 {
             return Ok(down);
@@ -482,7 +425,7 @@ impl Sheet<'_> {
         let mut up = if bot == 0.0 || z.value().is_infinite() {
             one
         } else {
-            (z - T::constant(bot)).scale(1.0 / ((KAPPA - 1.0) * bot)).ramp()
+            (z - T::constant(bot)).scale(1.0 / ((KAPPA - 1.0) * bot)).ramp(kind)
         };
         if patch.floor && up.value() < 1.0 {
             let mut mask = one;

@@ -14,6 +14,8 @@ pub trait Cut: Sync {
     fn at(&self, p: [f64; 2]) -> f64;
     /// Its derivatives by x and y there.
     fn gradient(&self, p: [f64; 2]) -> [f64; 2];
+    /// Its second derivatives by xx, xy and yy there; where it has a kink, those of one side.
+    fn hessian(&self, p: [f64; 2]) -> [f64; 3];
 }
 
 /// The same tolerance everywhere.
@@ -29,5 +31,8 @@ impl Cut for Constant {
     }
     fn gradient(&self, _: [f64; 2]) -> [f64; 2] {
         [0.0; 2]
+    }
+    fn hessian(&self, _: [f64; 2]) -> [f64; 3] {
+        [0.0; 3]
     }
 }
