@@ -2,11 +2,12 @@
 
 use super::change::{Call, Ingest, Outcome, find_survey};
 use super::commit::{Plan, Retiled};
-use super::database::{Db, Policy, Writing};
+use super::database::{Db, Policy};
 use super::head::{Declaration, Head, Tile};
 use super::root::SurveyEntry;
 use super::tile::{Directory, write_tile};
 use super::view::Tables;
+use super::writing::Writing;
 use crate::base::{Error, Result, limits};
 use crate::height::frame::{CellRect, Lattice};
 use crate::height::lod::SurveyNumber;
