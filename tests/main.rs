@@ -5,6 +5,8 @@ mod support;
 
 /// Bad files, wrong calls, damaged, full and read-only databases: one clear line each, and nothing half done.
 mod bad_input;
+/// Backup, copy, compact, prune, rebuild; what surveys contribute.
+mod care;
 /// What the surface promises: certified errors, no gap, no jump, equality with the definition.
 mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
