@@ -81,15 +81,7 @@ impl VersionRecord {
         if r.take(8)? != MAGIC {
             return Err(r.bad("does not begin with TQUILTVR"));
         }
-        let format = r.u32()?;
-        if format > RECORD_VERSION {
-            return Err(Error::unsupported(
-                file,
-                format!("version record of format {format}, this program reads up to {RECORD_VERSION}"),
-                "use a newer terraquilt",
-            ));
-        }
-        let length = r.u32()? as usize;
+        let (format, length) = (r.u32()?, r.u32()? as usize);
         if length + 4 != r.remaining() {
             return Err(r.bad(format!(
                 "{} bytes follow the head, {} belong there",
@@ -100,6 +92,13 @@ impl VersionRecord {
         let (crc, stored) = (checksum(&bytes[..HEAD + length]), &bytes[HEAD + length..]);
         if crc.to_le_bytes() != *stored {
             return Err(r.bad(format!("checksum {crc:#010x} is not the stored one")));
+        }
+        if format > RECORD_VERSION {
+            return Err(Error::unsupported(
+                file,
+                format!("version record of format {format}, this program reads up to {RECORD_VERSION}"),
+                "use a newer terraquilt",
+            ));
         }
         let mut r = Reader::new(&bytes[HEAD..HEAD + length], file, "version record");
         let (number, made_at, root) = (r.u64()?, r.i64()?, PageRef::read(&mut r)?);
