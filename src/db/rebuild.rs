@@ -45,11 +45,16 @@ pub fn rebuild(root: &Path, waiting: &mut dyn FnMut()) -> Result<RebuildOutcome>
 /// The same on another disk: how tests stop at a write.
 pub fn rebuild_on(root: &Path, disk: Arc<dyn Disk>, waiting: &mut dyn FnMut()) -> Result<RebuildOutcome> {
     let _lock = WriterLock::take(root, waiting)?;
-    if let Ok(n) = healthy(root) {
-        return Err(Error::invalid(
-            root.display(),
-            format!("its catalog is well ({n} versions); there is nothing to rebuild"),
-        ));
+    match healthy(root) {
+        Ok(n) => {
+            return Err(Error::invalid(
+                root.display(),
+                format!("its catalog is well ({n} versions); there is nothing to rebuild"),
+            ));
+        }
+        // It is not damaged, but of a newer program.
+        Err(e @ Error::Unsupported { .. }) => return Err(e),
+        Err(_) => {}
     }
     if let Some(v) = leased(root)?.first() {
         return Err(Error::Busy {
