@@ -93,6 +93,8 @@ impl Grid {
                 offset: 0.0,
                 accuracy_m: None,
                 product: None,
+                vertical_datum: None,
+                vertical_unit_m: None,
                 notes: Vec::new(),
             },
             z: self.z.clone(),
@@ -112,8 +114,11 @@ impl Grid {
             accuracy_m: Some(self.accuracy),
             date: self.date,
             precedence: self.precedence,
-            vertical_unit_m: 1.0,
-            assume_crs: false,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: Default::default(),
+            step: None,
             lattice: None,
         }
     }
