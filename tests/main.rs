@@ -31,3 +31,5 @@ mod oracle;
 mod order;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
+/// Surveys delivered in another system than the database's: their posts, their tiles, what is refused.
+mod resampled;

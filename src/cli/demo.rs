@@ -73,10 +73,10 @@ fn ingest(db: &Db, folder: &Path, b: &Bundled) -> Result<db::Outcome> {
         date: Some(Date::parse(b.date)?),
         precedence: None,
         vertical_unit_m: None,
-            vertical_datum: None,
-            crs: None,
-            datum: Default::default(),
-            step: None,
+        vertical_datum: None,
+        crs: None,
+        datum: Default::default(),
+        step: None,
         lattice: None,
     };
     carry_out(db, Change::Ingest(request), None, false)

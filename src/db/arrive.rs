@@ -2,8 +2,8 @@
 
 use super::change::{Call, Ingest, Outcome, find_survey};
 use super::commit::{Plan, Retiled};
-use super::declare::{agree, crs_of, declare, fits, one_vertical_datum};
 use super::database::{Policy, Writing};
+use super::declare::{agree, crs_of, declare, fits, one_vertical_datum};
 use super::head::{Declaration, Head, Tile};
 use super::resample::warp_of;
 use super::root::SurveyEntry;

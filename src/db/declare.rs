@@ -249,7 +249,10 @@ pub fn agree(d: &Declaration, first: &SourceInfo, request: &Ingest) -> Result<()
         ));
     }
     if request.step.is_some() {
-        return Err(Error::invalid("--step", format!("survey '{}' has its lattice already; leave it out", d.name)));
+        return Err(Error::invalid(
+            "--step",
+            format!("survey '{}' has its lattice already; leave it out", d.name),
+        ));
     }
     Ok(())
 }
@@ -286,7 +289,10 @@ pub fn fits(d: &Declaration, info: &SourceInfo, request: &Ingest, db: &Db) -> Re
     {
         return Err(Error::invalid(
             &info.file,
-            format!("its heights count from {a}, those of survey '{}' from {b}; ingest it as a survey of its own", d.name),
+            format!(
+                "its heights count from {a}, those of survey '{}' from {b}; ingest it as a survey of its own",
+                d.name
+            ),
         ));
     }
     Ok(())

@@ -334,7 +334,11 @@ impl Head {
             .iter()
             .fold([f64::INFINITY, f64::NEG_INFINITY], |z, t| [z[0].min(t.z[0]), z[1].max(t.z[1])]);
         // The absolute weights of Catmull-Rom sum to at most 1.25 in each axis.
-        let over = if self.declaration.resampled.is_some() { (hi - lo) * (1.25 * 1.25 - 1.0) / 2.0 + hi.abs().max(lo.abs()) * 1e-7 } else { 0.0 };
+        let over = if self.declaration.resampled.is_some() {
+            (hi - lo) * (1.25 * 1.25 - 1.0) / 2.0 + hi.abs().max(lo.abs()) * 1e-7
+        } else {
+            0.0
+        };
         [lo - over, hi + over]
     }
 }

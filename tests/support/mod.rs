@@ -79,6 +79,11 @@ impl Grid {
     }
 
     pub fn source(&self) -> Box<dyn HeightSource> {
+        self.source_in("EPSG:32610")
+    }
+
+    /// The same file, said to be in another system.
+    pub fn source_in(&self, crs: &str) -> Box<dyn HeightSource> {
         Box::new(GridSource {
             info: SourceInfo {
                 file: format!("{}-{}-{}.mem", self.name, self.affine.origin[0], self.affine.origin[1]),
@@ -87,7 +92,7 @@ impl Grid {
                 rows: self.rows as u64,
                 sample_type: SampleType::F32,
                 affine: Some(self.affine),
-                crs: Some(Crs::from_epsg(32610).unwrap()),
+                crs: Some(Crs::parse(crs).unwrap()),
                 nodata: Some(f64::NAN),
                 scale: 1.0,
                 offset: 0.0,
