@@ -101,11 +101,13 @@ pub fn answers(db: &Db) -> String {
     out
 }
 
+/// The segments of a database. Version records hold times, and are no function of the commands.
 fn segments(db: &Path) -> BTreeMap<String, Vec<u8>> {
     std::fs::read_dir(db.join("segments"))
         .unwrap()
         .map(|e| e.unwrap())
         .map(|e| (e.file_name().into_string().unwrap(), std::fs::read(e.path()).unwrap()))
+        .filter(|(name, _)| name.ends_with(".tqs"))
         .collect()
 }
 

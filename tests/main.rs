@@ -7,6 +7,8 @@ mod support;
 mod bad_input;
 /// Databases of bicubic patches: slopes and curvature without a jump, and all that holds for bilinear ones.
 mod bicubic;
+/// Backup, copy, compact, prune, rebuild; what surveys contribute.
+mod care;
 /// What the surface promises: certified errors, no gap, no jump, equality with the definition.
 mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.

@@ -9,8 +9,10 @@ mod care;
 mod demo;
 mod export;
 mod ingest;
+mod origin;
 mod output;
 mod shading;
+mod upkeep;
 
 use crate::base::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -46,7 +48,13 @@ enum Command {
     Info(care::InfoCommand),
     Fingerprint(care::Fingerprint),
     Verify(care::Verify),
-    Prune(care::Prune),
+    Redundant(origin::Redundant),
+    Provenance(origin::ProvenanceCommand),
+    Prune(upkeep::Prune),
+    Compact(upkeep::Compact),
+    Backup(upkeep::Backup),
+    Copy(upkeep::Copy),
+    Rebuild(upkeep::Rebuild),
 }
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
@@ -80,7 +88,13 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Info(c) => c.run(),
         Command::Fingerprint(c) => c.run(),
         Command::Verify(c) => c.run(),
+        Command::Redundant(c) => c.run(),
+        Command::Provenance(c) => c.run(),
         Command::Prune(c) => c.run(),
+        Command::Compact(c) => c.run(),
+        Command::Backup(c) => c.run(),
+        Command::Copy(c) => c.run(),
+        Command::Rebuild(c) => c.run(),
     };
     finish(done)
 }

@@ -1,9 +1,10 @@
 //! What a commit does: ingest, replace, remove, set. One survey's samples change in one commit.
 
-use super::database::{Db, Writing};
+use super::database::Db;
 use super::resample::Resampling;
 use super::root::SurveyEntry;
 use super::view::{Tables, View};
+use super::writing::Writing;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{Crs, DatumChoice};

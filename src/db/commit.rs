@@ -2,13 +2,13 @@
 
 use super::build::{Before, Built, Input, build};
 use super::change::{Call, Outcome};
-use super::database::{Publication, Writing};
 use super::head::{Declaration, Head, Tile, check_world};
 use super::reader::block_cache;
 use super::root::{Root, SurveyEntry};
 use super::tile::Directory;
 use super::update::{Draft, Rebuilt};
 use super::view::Tables;
+use super::writing::{Publication, Writing};
 use crate::base::Result;
 use crate::base::date::Date;
 use crate::height::frame::CellRect;

@@ -201,7 +201,7 @@ pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
     use crate::store::quadtree::Node;
     let mut i = Info {
         path: db.path().display().to_string(),
-        format_version: super::database::FORMAT_VERSION,
+        format_version: db.format(),
         derivation_version: super::root::DERIVATION_VERSION,
         crs: s.crs.code.clone(),
         policy: s.policy.name(),

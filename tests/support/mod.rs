@@ -1,5 +1,8 @@
 //! What several subjects need: sources in memory, databases in temporary folders, the program itself.
 
+/// A disk whose power can be cut.
+pub mod power;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::AtomicBool;
