@@ -2,6 +2,7 @@
 
 use super::change::{Call, Ingest, Outcome, find_survey};
 use super::commit::{Plan, Retiled};
+use super::contradictions::Arriving;
 use super::database::{Db, Policy, Writing};
 use super::head::{Declaration, Head, Tile};
 use super::root::SurveyEntry;
@@ -176,6 +177,9 @@ impl Writing {
             (Some(e), false) => format!("ingest tiles into '{}'", e.name),
             (Some(e), true) => format!("replace tiles of '{}'", e.name),
         };
+        let arriving =
+            Arriving { survey, declaration: &declaration, tiles: &kept, dirty, segment: &segment };
+        let contradictions = self.contradictions(&arriving, db.unit(), db.crs().unit)?;
         let retiled = Retiled {
             survey,
             before,
@@ -192,6 +196,7 @@ impl Writing {
             self.commit(call, Plan { retiled: Some(retiled), action, warnings, ..Plan::default() })?;
         outcome.posts = posts;
         outcome.voids = voids;
+        outcome.contradictions = contradictions;
         Ok(outcome)
     }
 

@@ -1,5 +1,6 @@
 //! What a commit does: ingest, replace, remove, set. One survey's samples change in one commit.
 
+use super::contradictions::Contradiction;
 use super::database::{Db, Writing};
 use super::root::SurveyEntry;
 use super::view::{Tables, View};
@@ -83,6 +84,8 @@ pub struct Outcome {
     pub records_gone: u64,
     pub records_come: u64,
     pub bytes_written: u64,
+    /// Surveys that say other things of the ground that the files cover, beyond the stated accuracies.
+    pub contradictions: Vec<Contradiction>,
     pub warnings: Vec<String>,
 }
 

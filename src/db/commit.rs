@@ -7,8 +7,8 @@ use super::head::{Declaration, Head, Tile, check_world};
 use super::reader::block_cache;
 use super::root::{Root, SurveyEntry};
 use super::tile::Directory;
-use super::update::{Draft, Rebuilt};
-use super::view::Tables;
+use super::update::{Changes, Draft, Rebuilt};
+use super::view::{Tables, View};
 use crate::base::Result;
 use crate::base::date::Date;
 use crate::height::frame::CellRect;
@@ -137,35 +137,7 @@ impl Writing {
         // Write what the set makes of it.
         let derived_number = self.counters.file + 1 + u32::from(survey_segment.is_some());
         let mut derived = SegmentWriter::create(db.disk(), derived_number, SegmentKind::Derived)?;
-        let mut lists: BTreeMap<SurveyNumber, BTreeMap<_, _>> = BTreeMap::new();
-        for ((s, at), page) in &changes.tops {
-            if !lists.contains_key(s) {
-                let old: PageList =
-                    if view.entries().contains_key(s) { (**view.top_list(*s)?).clone() } else { Vec::new() };
-                lists.insert(*s, old.into_iter().collect());
-            }
-            let list = lists.get_mut(s).expect("it was just put there");
-            dead.extend(list.remove(at));
-            if let Some(page) = page {
-                list.insert(*at, derived.append(&page.encode(*at))?);
-            }
-        }
-        let mut entries = draft.entries.clone();
-        for (s, list) in lists {
-            let e = entries.get_mut(&s).expect("changed pages belong to surveys of the version");
-            if view.entries().contains_key(&s) {
-                dead.push(e.tops);
-            }
-            let mut bytes = Vec::new();
-            crate::store::table::put_list(&mut bytes, &list.into_iter().collect());
-            e.tops = derived.append(&bytes)?;
-        }
-        for (s, (live, dormant)) in &changes.counts {
-            if let Some(e) = entries.get_mut(s) {
-                e.live = e.live.saturating_add_signed(*live);
-                e.dormant = e.dormant.saturating_add_signed(*dormant);
-            }
-        }
+        let entries = write_tops(view, &draft, &changes, &mut derived, &mut dead)?;
         let live_before: u64 = view.entries().values().map(|e| e.live).sum();
         let old_root = view.tree.map(|t| t.page);
         let (gone_count, come_count) = (changes.gone.len() as u64, changes.come.len() as u64);
@@ -238,6 +210,46 @@ impl Writing {
         }
         Ok(n)
     }
+}
+
+/// Writes the changed pages of the top tables; returns the surveys as the root page names them.
+pub(super) fn write_tops(
+    view: &View,
+    draft: &Draft,
+    changes: &Changes,
+    derived: &mut SegmentWriter,
+    dead: &mut Vec<PageRef>,
+) -> Result<BTreeMap<SurveyNumber, SurveyEntry>> {
+    let mut lists: BTreeMap<SurveyNumber, BTreeMap<_, _>> = BTreeMap::new();
+    for ((s, at), page) in &changes.tops {
+        if !lists.contains_key(s) {
+            let old: PageList =
+                if view.entries().contains_key(s) { (**view.top_list(*s)?).clone() } else { Vec::new() };
+            lists.insert(*s, old.into_iter().collect());
+        }
+        let list = lists.get_mut(s).expect("it was just put there");
+        dead.extend(list.remove(at));
+        if let Some(page) = page {
+            list.insert(*at, derived.append(&page.encode(*at))?);
+        }
+    }
+    let mut entries = draft.entries.clone();
+    for (s, list) in lists {
+        let e = entries.get_mut(&s).expect("changed pages belong to surveys of the version");
+        if view.entries().contains_key(&s) {
+            dead.push(e.tops);
+        }
+        let mut bytes = Vec::new();
+        crate::store::table::put_list(&mut bytes, &list.into_iter().collect());
+        e.tops = derived.append(&bytes)?;
+    }
+    for (s, (live, dormant)) in &changes.counts {
+        if let Some(e) = entries.get_mut(s) {
+            e.live = e.live.saturating_add_signed(*live);
+            e.dormant = e.dormant.saturating_add_signed(*dormant);
+        }
+    }
+    Ok(entries)
 }
 
 /// Says where a survey replaces a finer or more accurate one.

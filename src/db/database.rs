@@ -290,7 +290,7 @@ impl Db {
                 unit: self.unit,
                 crs: self.crs.clone(),
                 policy: self.policy,
-                _lease: Some(lease),
+                _lease: Some(Arc::new(lease)),
             });
         }
     }
@@ -355,7 +355,7 @@ pub struct Snapshot {
     pub(super) unit: LatticeUnit,
     pub(super) crs: Crs,
     pub(super) policy: Policy,
-    _lease: Option<Lease>,
+    _lease: Option<Arc<Lease>>,
 }
 
 impl Snapshot {
@@ -374,6 +374,17 @@ impl Snapshot {
     }
     pub fn policy(&self) -> Policy {
         self.policy
+    }
+    /// The same version seen through other tables.
+    pub(super) fn seen_as(&self, view: View) -> Snapshot {
+        Snapshot {
+            view,
+            version: self.version.clone(),
+            unit: self.unit,
+            crs: self.crs.clone(),
+            policy: self.policy,
+            _lease: self._lease.clone(),
+        }
     }
     /// A survey by name or id prefix.
     pub fn survey(&self, name: &str) -> Result<&super::root::SurveyEntry> {
