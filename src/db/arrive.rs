@@ -177,8 +177,7 @@ impl Writing {
             (Some(e), false) => format!("ingest tiles into '{}'", e.name),
             (Some(e), true) => format!("replace tiles of '{}'", e.name),
         };
-        let arriving =
-            Arriving { survey, declaration: &declaration, tiles: &kept, dirty, segment: &segment };
+        let arriving = Arriving { survey, declaration: &declaration, tiles: &kept, dirty, segment: &segment };
         let contradictions = self.contradictions(&arriving, db.unit(), db.crs().unit)?;
         let retiled = Retiled {
             survey,

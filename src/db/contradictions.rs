@@ -88,8 +88,7 @@ impl Overlap {
         let (Some(x), Some(y)) = (self.unit.round(p[0]), self.unit.round(p[1])) else { return f32::NAN };
         let (i, j) = self.frame.index(Point::new(x, y));
         let n = self.found.every as f64;
-        let (c, r) =
-            ((i - self.cells.i0 as f64).div_euclid(n), (j - self.cells.j0 as f64).div_euclid(n));
+        let (c, r) = ((i - self.cells.i0 as f64).div_euclid(n), (j - self.cells.j0 as f64).div_euclid(n));
         if c < 0.0 || r < 0.0 || c >= self.cols as f64 || r >= self.rows as f64 {
             return f32::NAN;
         }
@@ -209,9 +208,7 @@ fn compare(
 ) -> Result<Option<Overlap>> {
     // The coarser is G; of equal steps the less accurate, then the greater id: whoever came first.
     let rank = |s: &Side| (s.cell, s.accuracy);
-    let a_is_coarser = rank(a)
-        .partial_cmp(&rank(b))
-        .is_none_or(|o| o.then_with(|| a.id.cmp(&b.id)).is_gt());
+    let a_is_coarser = rank(a).partial_cmp(&rank(b)).is_none_or(|o| o.then_with(|| a.id.cmp(&b.id)).is_gt());
     let (g, h) = if a_is_coarser { (a, b) } else { (b, a) };
     let mut cells = g.cells().intersect(&g.frame.cells_meeting(&h.frame.quad(&h.cells())));
     if let Some(w) = window {
@@ -223,7 +220,8 @@ fn compare(
     if cells.is_empty() {
         return Ok(None);
     }
-    let every = ((cells.width() as f64 * cells.height() as f64 / CELLS_MAX as f64).sqrt().ceil() as i64).max(1);
+    let every =
+        ((cells.width() as f64 * cells.height() as f64 / CELLS_MAX as f64).sqrt().ceil() as i64).max(1);
     let count = |n: i64| ((n + every - 1) / every) as usize;
     let (cols, rows) = (count(cells.width()), count(cells.height()));
     let allowed = g.accuracy + h.accuracy;
@@ -237,7 +235,8 @@ fn compare(
         for from in (0..cols).step_by(RUN) {
             for row in 0..lines.len() / cols {
                 for col in from..(from + RUN).min(cols) {
-                    let middle = |k: usize, from: i64, to: i64| (from + k as i64 * every + every / 2).min(to - 1);
+                    let middle =
+                        |k: usize, from: i64, to: i64| (from + k as i64 * every + every / 2).min(to - 1);
                     let (i, j) = (middle(col, cells.i0, cells.i1), middle(first + row, cells.j0, cells.j1));
                     let Some(zg) = on_g.height(i as f64 + 0.5, j as f64 + 0.5)? else { continue };
                     let (p, q) = (g.frame.post(i, j), g.frame.post(i + 1, j + 1));
@@ -291,8 +290,9 @@ fn compare(
         cells: s.cells,
         contradicted_cells: s.contradicted,
         every,
-        hint: (s.contradicted > 0 && mean.abs() > std && mean.abs() > allowed)
-            .then(|| "the mean is far from 0: datum slip? (another vertical datum, feet read as metres)".into()),
+        hint: (s.contradicted > 0 && mean.abs() > std && mean.abs() > allowed).then(|| {
+            "the mean is far from 0: datum slip? (another vertical datum, feet read as metres)".into()
+        }),
     };
     Ok(Some(Overlap { found, frame: g.frame, unit, cells, cols, rows, difference }))
 }
@@ -386,8 +386,7 @@ impl Writing {
             if other == new.survey {
                 continue;
             }
-            let found =
-                with_side(&self.view, other, |o| compare(&side, o, Some(&window), unit, axis))?;
+            let found = with_side(&self.view, other, |o| compare(&side, o, Some(&window), unit, axis))?;
             out.extend(found.map(|o| o.found).filter(|c| c.contradicted_cells > 0));
         }
         Ok(out)

@@ -4,12 +4,12 @@
 //! specification), but its pages are kept in memory and nothing is published: samples and patches are read from the
 //! database's own files. It costs what such a removal costs, and the memory of the changed top and tree pages.
 
+use super::Progress;
 use super::commit::write_tops;
 use super::database::Snapshot;
 use super::root::Root;
 use super::update::Draft;
 use super::view::{Tables, View};
-use super::Progress;
 use crate::base::{Error, Result};
 use crate::height::lod::SurveyNumber;
 use crate::store::quadtree::Editor;
