@@ -236,8 +236,8 @@ mod tests {
     #[test]
     fn every_case_of_a_cell_has_high_ground_on_the_left() {
         // Middles of the edges north, east, south, west; corners clockwise from the north-west.
-        let middle = [[0.0, 0.5], [0.5, 0.0], [0.0, -0.5], [-0.5, 0.0]];
-        let corner = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
+        let middle: [[f64; 2]; 4] = [[0.0, 0.5], [0.5, 0.0], [0.0, -0.5], [-0.5, 0.0]];
+        let corner: [[f64; 2]; 4] = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
         for case in 0..16 {
             let z: [f64; 4] = std::array::from_fn(|k| if case >> k & 1 == 1 { 1.0 } else { -1.5 });
             let mut pieces = Vec::new();
