@@ -38,12 +38,18 @@ pub enum Spot {
 }
 
 impl Grid {
-    /// A grid over `area` (everything: the surveys of all `terrains`).
+    /// A grid over `area` (everything: the surveys of all `terrains`). Without a step, `side_max` makes cells of several
+    /// cells, so that no side of the grid has more than so many: for pictures.
     ///
     /// # Errors
     /// [`Error::Limit`] above [`limits::RASTER_POSTS_MAX`] cells; [`Error::Invalid`] if there is no survey at all, the
     /// region is empty, or the step is not positive.
-    pub fn new(terrains: &[&Terrain], area: &Area, step: Option<[f64; 2]>) -> Result<Grid> {
+    pub fn new(
+        terrains: &[&Terrain],
+        area: &Area,
+        step: Option<[f64; 2]>,
+        side_max: Option<usize>,
+    ) -> Result<Grid> {
         let all = terrains.iter().filter_map(|t| t.snapshot.bounds());
         let b = match area.bounds() {
             Some(b) => b,
@@ -60,7 +66,12 @@ impl Grid {
         let (corner, step) = match step {
             Some(s) if s.iter().all(|v| v.is_finite() && *v > 0.0) => ([b[0], b[3]], s),
             Some(s) => return Err(Error::invalid("--step", format!("{s:?}; it must be positive"))),
-            None => natural(terrains, b).ok_or_else(super::terrain::no_data)?,
+            None => {
+                let (corner, step) = natural(terrains, b).ok_or_else(super::terrain::no_data)?;
+                let side = ((b[2] - b[0]) / step[0]).max((b[3] - b[1]) / step[1]);
+                let times = side_max.map_or(1.0, |m| (side / m as f64 - 1e-6).ceil().max(1.0));
+                (corner, step.map(|s| s * times))
+            }
         };
         // From the line at or before the region's edge to the one at or behind it.
         const ON: f64 = 1e-6;

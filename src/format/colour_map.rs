@@ -77,6 +77,7 @@ pub struct ColourMap<'a> {
     pub range: [f32; 2],
     /// What stands behind the numbers of the legend: digits, `m`, `%`, `deg`, spaces.
     pub unit: &'a str,
+    pub legend: bool,
 }
 
 /// Pixels around the legend, height of its bar, side of a dot of its letters.
@@ -90,7 +91,7 @@ const WIDTH_MIN: usize = 360;
 /// Labels under the bar.
 const LABELS: usize = 5;
 
-/// Draws the values, and below them a bar of the colours with the values they stand for: 8 bits RGBA.
+/// Draws the values, and with a legend below them a bar of the colours with the values they stand for: 8 bits RGBA.
 ///
 /// # Errors
 /// [`Error::Invalid`] if the sizes do not match or the range is not one, [`Error::Limit`] above
@@ -110,9 +111,9 @@ pub fn write_colour_map(out: &mut dyn Write, map: &ColourMap) -> Result<()> {
     if !(map.range.iter().all(|v| v.is_finite()) && map.range[0] < map.range[1]) {
         return Err(Error::invalid("picture", format!("range of colours {:?} is empty", map.range)));
     }
-    let width = cols.max(WIDTH_MIN);
+    let width = if map.legend { cols.max(WIDTH_MIN) } else { cols };
     let left = (width - cols) / 2;
-    let legend = legend(map, width);
+    let legend = if map.legend { legend(map, width) } else { Vec::new() };
     let height = rows + legend.len() / (4 * width);
     let mut encoder = png::Encoder::new(out, width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgba);
@@ -244,6 +245,7 @@ mod tests {
             ramp: Ramp::Diverging,
             range: [-5.0, 5.0],
             unit: "m",
+            legend: true,
         };
         let (width, pixels) = drawn(&map);
         let first = 4 * ((width - 4) / 2);
@@ -262,7 +264,15 @@ mod tests {
             ([-20.0f32, 20.0], ["-20", "-10", "0", "10", "20 m"]),
             ([0.0, 0.2], ["0", "0.05", "0.1", "0.15", "0.2 m"]),
         ] {
-            let map = ColourMap { cols: 1, rows: 1, values: &[0.0], ramp: Ramp::Heat, range, unit: "m" };
+            let map = ColourMap {
+                cols: 1,
+                rows: 1,
+                values: &[0.0],
+                ramp: Ramp::Heat,
+                range,
+                unit: "m",
+                legend: true,
+            };
             let labels: Vec<String> = (0..LABELS).map(|k| label(&map, k)).collect();
             assert_eq!(labels, found);
             // Each letter is one that can be drawn.
@@ -274,8 +284,15 @@ mod tests {
 
     #[test]
     fn sizes_that_do_not_match_are_refused() {
-        let good =
-            ColourMap { cols: 1, rows: 1, values: &[0.0], ramp: Ramp::Grey, range: [0.0, 1.0], unit: "" };
+        let good = ColourMap {
+            cols: 1,
+            rows: 1,
+            values: &[0.0],
+            ramp: Ramp::Grey,
+            range: [0.0, 1.0],
+            unit: "",
+            legend: false,
+        };
         let mut out = Vec::new();
         assert!(write_colour_map(&mut out, &ColourMap { rows: 2, ..good.clone() }).is_err());
         assert!(write_colour_map(&mut out, &ColourMap { range: [1.0, 1.0], ..good.clone() }).is_err());
