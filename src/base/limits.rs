@@ -19,3 +19,9 @@ pub const RASTER_POSTS_MAX: u64 = 400_000_000;
 pub const MESH_VERTICES_MAX: usize = 20_000_000;
 /// Bytes of one page of a segment, compressed or not.
 pub const PAGE_BYTES_MAX: u64 = 64 << 20;
+/// Points of a grid that is held in memory at once, to draw contour lines through it.
+pub const CONTOUR_POSTS_MAX: u64 = 64 << 20;
+/// Vertices of one file of lines or polygons, about 30 bytes each as text.
+pub const LINE_VERTICES_MAX: u64 = 20_000_000;
+/// Bytes of a text file of lines that is read.
+pub const LINE_FILE_BYTES_MAX: u64 = 64 << 20;

@@ -189,6 +189,24 @@ pub fn carry_out(db: &Db, change: Change, operation: Option<&str>, dry_run: bool
     outcome
 }
 
+/// One line about two surveys that contradict each other.
+pub fn contradiction(c: &db::Contradiction) -> String {
+    let hint = c.hint.as_ref().map_or(String::new(), |h| format!("; {h}"));
+    format!(
+        "'{}' and '{}' contradict each other on {:.1} % of {:.3} km2 (more than {} m apart): mean {:+.2} m, std {:.2} m, largest {:+.2} m at {}, {}{hint}",
+        c.finer,
+        c.coarser,
+        c.share * 100.0,
+        c.overlap_m2 / 1e6,
+        crate::base::round::significant(c.allowed_m, 6),
+        c.mean_m,
+        c.std_m,
+        c.largest_m,
+        crate::base::round::significant(c.largest_at[0], 9),
+        crate::base::round::significant(c.largest_at[1], 9),
+    )
+}
+
 fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
     for w in &o.warnings {
         message(&format!("note: {w}"));
@@ -225,6 +243,9 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
     }
     for (name, cells) in &o.flipped_cells {
         out.line(format!("  shows or hides {} cells of '{name}'", count(*cells)))?;
+    }
+    for c in &o.contradictions {
+        out.line(format!("  {}", contradiction(c)))?;
     }
     out.end()
 }

@@ -341,7 +341,7 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
-            _lease: lease,
+            _lease: lease.map(Arc::new),
         })
     }
 
@@ -396,7 +396,7 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
-    _lease: Option<Lease>,
+    _lease: Option<Arc<Lease>>,
 }
 
 impl Snapshot {
@@ -419,6 +419,18 @@ impl Snapshot {
     /// What lies between vertices.
     pub fn kind(&self) -> Kind {
         self.kind
+    }
+    /// The same version seen through other tables.
+    pub(super) fn seen_as(&self, view: View) -> Snapshot {
+        Snapshot {
+            view,
+            version: self.version.clone(),
+            unit: self.unit,
+            crs: self.crs.clone(),
+            policy: self.policy,
+            kind: self.kind,
+            _lease: self._lease.clone(),
+        }
     }
     /// A survey by name or id prefix.
     pub fn survey(&self, name: &str) -> Result<&super::root::SurveyEntry> {

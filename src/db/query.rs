@@ -306,6 +306,26 @@ impl Snapshot {
         tolerance: &Tolerance,
         how: impl Into<How>,
     ) -> Result<Vec<Option<Evaluation>>> {
+        self.scattered(points, tolerance, how.into(), false)
+    }
+
+    /// As [`Snapshot::heights`], with the gradients of the surface.
+    pub fn slopes(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        how: impl Into<How>,
+    ) -> Result<Vec<Option<Evaluation>>> {
+        self.scattered(points, tolerance, how.into(), true)
+    }
+
+    fn scattered(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        how: How,
+        slopes: bool,
+    ) -> Result<Vec<Option<Evaluation>>> {
         if let Tolerance::Constant(c) = tolerance
             && (c.is_nan() || *c < 0.0)
         {
@@ -314,21 +334,17 @@ impl Snapshot {
         let mut out = vec![None; points.len()];
         let mut order: Vec<usize> =
             (0..points.len()).filter(|k| points[*k].iter().all(|v| v.is_finite())).collect();
-        let finest = self
-            .entries()
-            .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
-            .fold(f64::INFINITY, f64::min);
-        self.heights_within(points, &mut order, tolerance, how.into(), finest * 1024.0, &mut out)?;
+        self.scattered_within(points, &mut order, tolerance, how, slopes, &mut out)?;
         Ok(out)
     }
 
-    fn heights_within(
+    fn scattered_within(
         &self,
         points: &[[f64; 2]],
         order: &mut [usize],
         tolerance: &Tolerance,
         how: How,
-        side_max: f64,
+        slopes: bool,
         out: &mut [Option<Evaluation>],
     ) -> Result<()> {
         if order.is_empty() || self.view.tree.is_none() {
@@ -336,14 +352,19 @@ impl Snapshot {
         }
         let b = crate::height::lod::cut::bounds(&order.iter().map(|k| points[*k]).collect::<Vec<_>>());
         let (w, h) = (b[2] - b[0], b[3] - b[1]);
+        let finest = self
+            .entries()
+            .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
+            .fold(f64::INFINITY, f64::min);
+        let side_max = finest * 1024.0;
         if w.max(h) > side_max && order.len() > 1 {
             let axis = usize::from(h > w);
             let mid = (b[axis] + b[axis + 2]) / 2.0;
             order.sort_by(|x, y| (points[*x][axis] > mid).cmp(&(points[*y][axis] > mid)).then(x.cmp(y)));
             let split = order.partition_point(|k| points[*k][axis] <= mid);
             let (left, right) = order.split_at_mut(split);
-            self.heights_within(points, left, tolerance, how, side_max, out)?;
-            return self.heights_within(points, right, tolerance, how, side_max, out);
+            self.scattered_within(points, left, tolerance, how, slopes, out)?;
+            return self.scattered_within(points, right, tolerance, how, slopes, out);
         }
         // A region around the points: any superset gives the same heights.
         let pad =
@@ -354,7 +375,8 @@ impl Snapshot {
         let selection = self.select_in(region, &*cut, how.blend)?;
         let ground = self.ground(selection, cut, how);
         let here: Vec<[f64; 2]> = order.iter().map(|k| points[*k]).collect();
-        for (k, e) in order.iter().zip(ground.heights(&here)?) {
+        let found = if slopes { ground.slopes(&here)? } else { ground.heights(&here)? };
+        for (k, e) in order.iter().zip(found) {
             out[*k] = e;
         }
         Ok(())

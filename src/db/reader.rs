@@ -176,7 +176,9 @@ impl SampleReader<'_> {
         let d = place.domain();
         let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
         match kind {
-            Kind::Bilinear => self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?,
+            Kind::Bilinear => {
+                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?
+            }
             Kind::Bicubic => {
                 self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
                 let mut open = [false; SIDE * SIDE];

@@ -1,0 +1,11 @@
+//! GeoJSON: lines are read, lines and polygons are written.
+//!
+//! Coordinates are in the CRS of the database. RFC 7946 knows only longitude and latitude; a file in another CRS is
+//! given the `crs` member of the GeoJSON of 2008, which GDAL and QGIS read. A reader that goes by the RFC alone will
+//! take the numbers for degrees.
+
+mod line;
+mod write;
+
+pub use line::read_line;
+pub use write::{FeatureWriter, Shape};
