@@ -9,6 +9,7 @@ mod care;
 mod demo;
 mod export;
 mod ingest;
+mod mesh;
 mod output;
 mod shading;
 

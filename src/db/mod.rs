@@ -32,4 +32,4 @@ pub use fingerprint::fingerprint;
 pub use head::{Declaration, Head, Tile};
 pub use listing::{BoxRow, Info, SurveyRow, TreeNode, boxes, info, surveys, tree};
 pub use root::SurveyEntry;
-pub use triangles::{RegionMesh, metres_per_unit, triangulate_region};
+pub use triangles::{RegionMesh, WALL_STEPS, metres_per_unit, triangulate_region};
