@@ -65,7 +65,8 @@ fn cut(
     [lo, hi]: [i32; 2],
 ) -> Vec<u32> {
     // Thrice the middle of a triangle.
-    let middle = |t: u32| triangles[t as usize].iter().map(|&v| i64::from(points[v as usize][axis])).sum();
+    let middle =
+        |t: u32| -> i64 { triangles[t as usize].iter().map(|&v| i64::from(points[v as usize][axis])).sum() };
     let extent = i64::from(hi) - i64::from(lo);
     let tiles = extent / (WIDEST - WIDEST / OVERHANG) + 1;
     let at: i64 = 3 * (i64::from(lo) + extent * (tiles / 2) / tiles);
