@@ -149,7 +149,7 @@ fn tiles_have_common_vertices_bit_for_bit() {
     // 4 km in quanta of some millimetres: hundreds of metres fit 16 bits.
     let hills = Hills::new(&mut r, 130, 30.0, 120.0);
     let (one, _) = hills.compact(0.9, 0.6, false);
-    let (glb, found) = hills.compact(0.05, 0.6, false);
+    let (glb, found) = hills.compact(0.01, 0.6, false);
     assert!(found.tiles > 9, "{found:?}");
     assert!(glb.stored > glb.positions.len(), "no vertex is in two tiles");
     // Joined by the bits of their positions, the tiles have the border of the mesh and no other.
@@ -254,9 +254,9 @@ fn a_compact_mesh_of_a_region_is_the_surface_within_its_bound() {
     let db = folder.path().join("db");
     let path = db.to_str().unwrap();
     printed(&["init", path, "--crs", "EPSG:26910", "--policy", "newest"]);
-    for (file, accuracy) in [("survey_2000-09-25_native.tif", "2"), ("survey_2004-10-13_native.tif", "0.5")] {
-        let survey = bundled("st_helens").join(file);
-        printed(&["ingest", path, survey.to_str().unwrap(), "--accuracy", accuracy]);
+    for (date, accuracy) in [("2000-09-25", "2"), ("2004-10-13", "0.5")] {
+        let survey = bundled("st_helens").join(format!("survey_{date}_native.tif"));
+        printed(&["ingest", path, survey.to_str().unwrap(), "--accuracy", accuracy, "--date", date]);
     }
     let out = folder.path().join("dome.glb");
     let bbox = [562_300.0, 5_115_600.0, 562_800.0, 5_116_100.0];
