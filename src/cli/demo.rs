@@ -1,7 +1,8 @@
 //! `demo`: the whole story on real surveys of Mount St. Helens that are part of the program.
 
-use super::export::{glb, png};
+use super::export::png;
 use super::ingest::carry_out;
+use super::mesh::glb;
 use super::output::{Output, bytes, count};
 use super::shading::Raster;
 use crate::base::date::Date;

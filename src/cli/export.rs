@@ -1,28 +1,27 @@
 //! `export`: the surface as GLB, GeoTIFF or PNG; a survey's own samples, bit for bit.
 
 use super::args::{Region, Source, ToleranceArgs, numbers};
-use super::output::{Meter, Output, bytes, count, message, stop_flag};
+use super::mesh::{Packing, packed_glb};
+use super::output::{Meter, Output, bytes, count, message};
 use super::shading::Raster;
 use crate::base::{Error, Result};
 use crate::db::Delivered;
 use crate::db::query::Query;
 use crate::db::{self, Snapshot};
 use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
-use crate::format::gltf::{GlbMesh, write_glb};
 use crate::format::relief::{Relief, write_relief};
 use crate::height::crs::Crs;
 use crate::height::source::{Affine, SampleType};
 use clap::Args;
-use serde_json::{Map, json};
+use serde_json::json;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 /// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief
 #[derive(Args)]
 #[command(
-    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
+    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills small.glb --error 2 --quantize\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
 )]
 #[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "survey"])))]
 pub struct Export {
@@ -46,6 +45,8 @@ pub struct Export {
     /// .tif and .png: pixel size in CRS units (X or X,Y)
     #[arg(long, value_name = "X[,Y]")]
     step: Option<String>,
+    #[command(flatten)]
+    packing: Packing,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -68,6 +69,7 @@ impl Export {
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         if let Some(name) = &self.survey {
+            self.packing.only_for_glb(&ending)?;
             if ending != "tif" && ending != "tiff" {
                 return Err(Error::invalid(
                     "--survey",
@@ -93,18 +95,12 @@ impl Export {
                 &format!("{} posts as delivered", count(posts)),
             );
         }
+        self.packing.only_for_glb(&ending)?;
         let query = self.tolerance.inner.query(&self.region)?;
         match ending.as_str() {
             "glb" => {
-                let m = glb(&s, &query, &self.out)?;
-                let text = format!(
-                    "{} triangles; error {:.3} m (surface {:.3}, mesh {:.3} measured at {} points)",
-                    count(m.triangles),
-                    m.error_m,
-                    m.surface_error_m,
-                    m.mesh_error_m,
-                    count(m.measured_points)
-                );
+                let m = packed_glb(&s, &query, &self.out, self.packing)?;
+                let text = m.text();
                 if let crate::db::query::Tolerance::Constant(asked) = query.tolerance
                     && m.error_m > asked
                 {
@@ -196,69 +192,8 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Resu
     done
 }
 
-fn create(path: &Path) -> Result<BufWriter<File>> {
+pub(super) fn create(path: &Path) -> Result<BufWriter<File>> {
     Ok(BufWriter::new(File::create(path).map_err(|e| Error::io(path, e))?))
-}
-
-/// What a mesh export found.
-#[derive(serde::Serialize)]
-pub struct MeshFound {
-    pub out: PathBuf,
-    pub vertices: u64,
-    pub triangles: u64,
-    pub error_m: f64,
-    pub surface_error_m: f64,
-    pub mesh_error_m: f64,
-    pub measured_points: u64,
-    pub seconds: f64,
-}
-
-/// Writes a region as GLB.
-pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
-    let started = std::time::Instant::now();
-    let meter = Meter::new();
-    let stop = stop_flag();
-    let found = db::triangulate_region(s, query, &|share| {
-        meter.report("mesh", share);
-        !stop.load(Ordering::Relaxed)
-    });
-    meter.clear();
-    let r = found?;
-    let mut extras = Map::new();
-    extras.insert("surface_error_m".into(), json!(r.surface_error_m));
-    extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
-    if s.crs().unit == crate::height::crs::AxisUnit::Degree {
-        extras.insert(
-            "projection".into(),
-            json!("local: metres east and north of the origin, which is in degrees"),
-        );
-    }
-    let mesh = GlbMesh {
-        positions: &r.mesh.positions,
-        normals: &r.mesh.normals,
-        triangles: &r.mesh.triangles,
-        colors: None,
-        origin: r.origin,
-        crs: &s.crs().code,
-        error_m: r.error_m,
-        version: s.number(),
-        extras,
-    };
-    write_whole(path, |p| {
-        let mut out = create(p)?;
-        write_glb(&mut out, &mesh)?;
-        out.flush().map_err(|e| Error::io(p, e))
-    })?;
-    Ok(MeshFound {
-        out: path.to_path_buf(),
-        vertices: r.mesh.positions.len() as u64,
-        triangles: r.mesh.triangles.len() as u64,
-        error_m: r.error_m,
-        surface_error_m: r.surface_error_m,
-        mesh_error_m: r.mesh.error_m,
-        measured_points: r.mesh.measured_points,
-        seconds: started.elapsed().as_secs_f64(),
-    })
 }
 
 /// The patch sizes drawn red and blue (log2 of metres): those in the picture, at least four octaves apart, so that sizes

@@ -10,6 +10,7 @@ mod demo;
 mod export;
 mod ingest;
 mod measure;
+mod mesh;
 mod origin;
 mod output;
 mod shading;

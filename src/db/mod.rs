@@ -56,4 +56,4 @@ pub use rebuild::{RebuildOutcome, rebuild, rebuild_on};
 pub use redundant::{Contribution, contributions};
 pub use resample::Resampling;
 pub use root::SurveyEntry;
-pub use triangles::{RegionMesh, metres_per_unit, triangulate_region};
+pub use triangles::{RegionMesh, WALL_STEPS, metres_per_unit, triangulate_region};

@@ -1,53 +1,14 @@
 //! Must show 8: a GLB of a region is the surface within its bound, manifold but for its border, where surveys meet too.
 
+mod compact;
+mod reader;
+
 use crate::support::{Random, bundled, printed};
+use reader::{Glb, read};
 use serde_json::Value;
 use terraquilt::db::query::Tolerance;
 use terraquilt::db::{Db, Snapshot};
 use terraquilt::height::surface::Blend;
-
-/// A mesh read back from the bytes of a GLB: positions (east, north, up), triangles.
-struct Glb {
-    json: Value,
-    positions: Vec<[f64; 3]>,
-    triangles: Vec<[usize; 3]>,
-}
-
-fn read(path: &std::path::Path) -> Glb {
-    let bytes = std::fs::read(path).unwrap();
-    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
-    assert_eq!(&bytes[..4], b"glTF");
-    assert_eq!(word(8), bytes.len());
-    let json_len = word(12);
-    let json: Value = serde_json::from_slice(&bytes[20..20 + json_len]).unwrap();
-    let bin = &bytes[20 + json_len + 8..];
-    let origin: Vec<f64> =
-        json["asset"]["extras"]["origin"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
-    let primitive = &json["meshes"][0]["primitives"][0];
-    let accessor = |n: &Value| {
-        let a = &json["accessors"][n.as_u64().unwrap() as usize];
-        let view = &json["bufferViews"][a["bufferView"].as_u64().unwrap() as usize];
-        let at = view["byteOffset"].as_u64().unwrap_or(0) + a["byteOffset"].as_u64().unwrap_or(0);
-        (at as usize, a["count"].as_u64().unwrap() as usize, a["componentType"].as_u64().unwrap())
-    };
-    let (at, count, kind) = accessor(&primitive["attributes"]["POSITION"]);
-    assert_eq!(kind, 5126);
-    let f = |k: usize| f64::from(f32::from_le_bytes(bin[k..k + 4].try_into().unwrap()));
-    let positions = (0..count)
-        .map(|k| {
-            let (x, y, z) = (f(at + 12 * k), f(at + 12 * k + 4), f(at + 12 * k + 8));
-            // glTF axes: x east, y up, z south.
-            [origin[0] + x, origin[1] - z, origin[2] + y]
-        })
-        .collect();
-    let (at, count, kind) = accessor(&primitive["indices"]);
-    let index = |k: usize| match kind {
-        5123 => u16::from_le_bytes(bin[at + 2 * k..at + 2 * k + 2].try_into().unwrap()) as usize,
-        _ => u32::from_le_bytes(bin[at + 4 * k..at + 4 * k + 4].try_into().unwrap()) as usize,
-    };
-    let triangles = (0..count / 3).map(|k| [index(3 * k), index(3 * k + 1), index(3 * k + 2)]).collect();
-    Glb { json, positions, triangles }
-}
 
 impl Glb {
     /// Height of the mesh at points: each point is looked for in the triangles of its square.
@@ -84,20 +45,20 @@ impl Glb {
         };
         points.iter().map(height).collect()
     }
+}
 
-    /// Edges that one triangle has, and that the neighbour does not: the border. Fails where an edge has three.
-    fn border(&self) -> usize {
-        let mut edges: std::collections::HashMap<(usize, usize), i32> = Default::default();
-        for t in &self.triangles {
-            for k in 0..3 {
-                let (a, b) = (t[k], t[(k + 1) % 3]);
-                let n = edges.entry((a, b)).or_default();
-                *n += 1;
-                assert_eq!(*n, 1, "edge {a} {b} runs twice in one direction");
-            }
+/// Edges that one triangle has, and that the neighbour does not: the border. Fails where an edge has three.
+fn border_edges(mesh: &Glb) -> usize {
+    let mut edges: std::collections::HashMap<(usize, usize), i32> = Default::default();
+    for t in &mesh.triangles {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            let n = edges.entry((a, b)).or_default();
+            *n += 1;
+            assert_eq!(*n, 1, "edge {a} {b} runs twice in one direction");
         }
-        edges.keys().filter(|(a, b)| !edges.contains_key(&(*b, *a))).count()
     }
+    edges.keys().filter(|(a, b)| !edges.contains_key(&(*b, *a))).count()
 }
 
 struct Met {
@@ -176,7 +137,7 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         number(&extras["surface_error_m"]) + number(&extras["mesh_error_m"])
     );
     // The border is that of the box: a closed line.
-    let border = mesh.border();
+    let border = border_edges(&mesh);
     let area: f64 = mesh
         .triangles
         .iter()
