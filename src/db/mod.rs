@@ -19,6 +19,7 @@ mod listing;
 pub mod query;
 mod reader;
 mod root;
+mod seams;
 mod tile;
 mod triangles;
 mod update;

@@ -1,6 +1,7 @@
 //! Questions: which patches a region needs within a tolerance, what changed since, how high it is.
 
 use super::database::Snapshot;
+use super::seams::Fields;
 use super::view::{Rules, Tables, View};
 use crate::base::lattice::Bounds;
 use crate::base::{Error, Result};
@@ -10,7 +11,7 @@ use crate::height::lod::cut::{Camera, Constant, Cut, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::Vertices;
 use crate::height::surface::{
-    Blend, Evaluation, Hood, How, KAPPA, Patch, Sheet, Source, Surface, SurveyField,
+    Blend, Evaluation, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
 use crate::store::quadtree::{Domains, Record, walk};
 use quick_cache::sync::Cache;
@@ -286,9 +287,16 @@ impl Snapshot {
                 floor: r.floor,
             })
             .collect();
-        let surface = Surface::new(origin, self.unit, fields, patches, how.blend);
+        let mut surface = Surface::new(origin, self.unit, fields, patches, how.blend);
+        surface.corrected = how.seams != Seams::Off;
         let data = Data {
             view: &self.view,
+            seams: Fields {
+                view: &self.view,
+                unit: self.unit,
+                axis: self.crs.unit,
+                consistent: how.seams == Seams::Consistent,
+            },
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
             vertices: Cache::new(4096),
@@ -363,6 +371,7 @@ impl Snapshot {
 /// Where a surface gets its numbers: the tables of a version, cached.
 struct Data<'a> {
     view: &'a View,
+    seams: Fields<'a>,
     surveys: Vec<SurveyNumber>,
     patches: Vec<(usize, Place)>,
     vertices: Cache<usize, Arc<Vertices>>,
@@ -379,6 +388,10 @@ impl Source for Data<'_> {
         let z: Arc<Vertices> = Arc::from(z);
         self.vertices.insert(patch, z.clone());
         Ok(z)
+    }
+
+    fn seam(&self, survey: usize, i: i32, j: i32) -> Result<Arc<seam::Field>> {
+        self.seams.field(self.surveys[survey], i, j)
     }
 
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>> {
