@@ -29,3 +29,5 @@ mod oracle;
 mod order;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
+/// Seams between surveys that disagree: off they cost nothing, on they do not show.
+mod seams;

@@ -10,6 +10,7 @@ use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use crate::format::gltf::{GlbMesh, write_glb};
 use crate::format::relief::{Relief, write_relief};
 use crate::height::source::{Affine, SampleType};
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::{Map, json};
 use std::fs::File;
@@ -91,15 +92,22 @@ impl Export {
                 &format!("{} posts as delivered", count(posts)),
             );
         }
-        let query = self.tolerance.inner.query(&self.region)?;
+        let looked_at = ending == "glb" || ending == "png";
+        let seams = if looked_at { Seams::All } else { Seams::Off };
+        let query = self.tolerance.inner.query(&self.region, seams)?;
+        let seams = query.how.seams;
         match ending.as_str() {
             "glb" => {
                 let m = glb(&s, &query, &self.out)?;
                 let text = format!(
-                    "{} triangles; error {:.3} m (surface {:.3}, mesh {:.3} measured at {} points)",
+                    "{} triangles; error {:.3} m (surface {:.3}{}, mesh {:.3} measured at {} points)",
                     count(m.triangles),
                     m.error_m,
                     m.surface_error_m,
+                    match seams {
+                        Seams::Off => String::new(),
+                        _ => format!(", of which {:.3} by bending at seams", m.correction_m),
+                    },
                     m.mesh_error_m,
                     count(m.measured_points)
                 );
@@ -107,8 +115,14 @@ impl Export {
                     && m.error_m > asked
                 {
                     message(&format!(
-                        "note: the surface alone has {:.3} m there (the accuracy of its surveys); with the mesh's {:.3} m that is more than the {asked} m asked",
-                        m.surface_error_m, m.mesh_error_m
+                        "note: the surface alone has {:.3} m there ({}); with the mesh's {:.3} m that is more than the {asked} m asked",
+                        m.surface_error_m,
+                        if m.correction_m > 0.0 {
+                            "the accuracy of its surveys, and what is bent where they disagree: --seams off keeps them apart"
+                        } else {
+                            "the accuracy of its surveys"
+                        },
+                        m.mesh_error_m
                     ));
                 }
                 self.told(&m, &text)
@@ -117,7 +131,7 @@ impl Export {
                 let raster = Raster::new(&s, query.area.bounds(), Some(self.step(&s)?), PICTURE_SIDE)?;
                 let error = tif(&s, &query, &raster, &self.out)?;
                 self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": seams.name()}),
                     &format!("{} x {} posts, error {error:.3} m", raster.cols, raster.rows),
                 )
             }
@@ -126,7 +140,7 @@ impl Export {
                 let raster = Raster::new(&s, query.area.bounds(), step, PICTURE_SIDE)?;
                 let error = png(&s, &query, &raster, &self.out)?;
                 self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": seams.name()}),
                     &format!("{} x {} pixels, coloured by patch size", raster.cols, raster.rows),
                 )
             }
@@ -207,6 +221,9 @@ pub struct MeshFound {
     pub error_m: f64,
     pub surface_error_m: f64,
     pub mesh_error_m: f64,
+    /// Largest correction of seams, part of the surface's error.
+    pub correction_m: f64,
+    pub seams: &'static str,
     pub measured_points: u64,
     pub seconds: f64,
 }
@@ -225,6 +242,8 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
     let mut extras = Map::new();
     extras.insert("surface_error_m".into(), json!(r.surface_error_m));
     extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
+    extras.insert("seams".into(), json!(query.how.seams.name()));
+    extras.insert("correction_m".into(), json!(r.correction_m));
     if s.crs().unit == crate::height::crs::AxisUnit::Degree {
         extras.insert(
             "projection".into(),
@@ -254,6 +273,8 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
         error_m: r.error_m,
         surface_error_m: r.surface_error_m,
         mesh_error_m: r.mesh.error_m,
+        correction_m: r.correction_m,
+        seams: query.how.seams.name(),
         measured_points: r.mesh.measured_points,
         seconds: started.elapsed().as_secs_f64(),
     })

@@ -9,8 +9,8 @@ mod continuity;
 mod equality;
 mod errors;
 mod gaps;
-mod reference;
-mod worlds;
+pub mod reference;
+pub mod worlds;
 
 use crate::support::{Random, seeds};
 use reference::World;

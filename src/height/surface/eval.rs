@@ -32,6 +32,16 @@ pub enum Seams {
     Consistent,
 }
 
+impl Seams {
+    pub fn name(self) -> &'static str {
+        match self {
+            Seams::Off => "off",
+            Seams::All => "all",
+            Seams::Consistent => "consistent",
+        }
+    }
+}
+
 /// How a surface is made of its patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct How {
@@ -324,6 +334,16 @@ impl Sheet<'_> {
         who.iter_mut().for_each(|(_, w)| *w /= sum);
         who.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         Ok(Some((e, who)))
+    }
+
+    /// The correction of a survey of the surface at a point, metres: what is added to each of its patches there.
+    pub fn correction_of(&self, survey: usize, p: [f64; 2]) -> Result<f64> {
+        if !self.surface.corrected {
+            return Ok(0.0);
+        }
+        let local = [0, 1].map(|k| p[k] - self.surface.origin[k]);
+        let index: [f64; 2] = self.surface.surveys[survey].index(local);
+        Ok(self.correction(survey, index, self.cut.at(p), &mut Scratch::default())?.0)
     }
 
     fn each(
