@@ -37,3 +37,5 @@ mod order;
 mod replacement;
 /// Surveys delivered in another system than the database's: their posts, their tiles, what is refused.
 mod resampled;
+/// Seams between surveys that disagree: off they cost nothing, on they do not show.
+mod seams;

@@ -4,7 +4,7 @@ use crate::base::{Error, Result};
 use crate::db::query::{Area, Query, Tolerance};
 use crate::db::{Db, Snapshot};
 use crate::height::lod::cut::Camera;
-use crate::height::surface::{Blend, How};
+use crate::height::surface::{Blend, How, Seams};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -57,6 +57,14 @@ pub enum SurfaceKind {
     Plain,
 }
 
+/// What is done where surveys disagree.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SeamsKind {
+    Off,
+    All,
+    Consistent,
+}
+
 /// How much error is allowed.
 #[derive(Args)]
 pub struct ToleranceArgs {
@@ -90,14 +98,26 @@ pub struct ToleranceArgs {
     /// exact: error certified everywhere; plain: the paper's blend
     #[arg(long, value_enum, default_value = "exact")]
     pub surface: SurfaceKind,
+    /// Where surveys disagree: off: as delivered; all: the lower survey is bent towards the better one along its border;
+    /// consistent: by no more than both accuracies. Default: all for .glb and .png, else off
+    #[arg(long, value_enum)]
+    pub seams: Option<SeamsKind>,
 }
 
 impl ToleranceArgs {
-    pub fn how(&self) -> How {
-        match self.surface {
-            SurfaceKind::Exact => Blend::Exact.into(),
-            SurfaceKind::Plain => Blend::Plain.into(),
-        }
+    /// `seams`: what is done where nothing was said.
+    pub fn how(&self, seams: Seams) -> How {
+        let blend = match self.surface {
+            SurfaceKind::Exact => Blend::Exact,
+            SurfaceKind::Plain => Blend::Plain,
+        };
+        let seams = match self.seams {
+            None => seams,
+            Some(SeamsKind::Off) => Seams::Off,
+            Some(SeamsKind::All) => Seams::All,
+            Some(SeamsKind::Consistent) => Seams::Consistent,
+        };
+        How { blend, seams }
     }
 
     pub fn get(&self) -> Result<Tolerance> {
@@ -124,8 +144,8 @@ impl ToleranceArgs {
         Ok(Tolerance::Camera(camera))
     }
 
-    pub fn query(&self, region: &Region) -> Result<Query> {
-        Ok(Query { area: region.get()?, tolerance: self.get()?, how: self.how() })
+    pub fn query(&self, region: &Region, seams: Seams) -> Result<Query> {
+        Ok(Query { area: region.get()?, tolerance: self.get()?, how: self.how(seams) })
     }
 }
 

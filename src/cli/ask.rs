@@ -5,7 +5,7 @@ use super::output::{Output, count, table};
 use crate::base::{Error, Result};
 use crate::db::query::{Query, difference, set_hash};
 use crate::db::{self, Snapshot};
-use crate::height::surface::Evaluation;
+use crate::height::surface::{Evaluation, Seams};
 use crate::store::quadtree::Record;
 use clap::Args;
 use serde_json::{Value, json};
@@ -187,7 +187,7 @@ pub struct Patches {
 impl Patches {
     pub fn run(self) -> Result<bool> {
         let (db, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = self.tolerance.query(&self.region, Seams::Off)?;
         match self.since {
             Some(v) => self.difference(&s, &db.snapshot(Some(v))?, &query),
             None => self.list(&s, &query),
@@ -321,7 +321,8 @@ impl Heights {
                 "ask with --error M",
             ));
         }
-        let found = s.heights(&points, &tolerance, self.tolerance.how())?;
+        let how = self.tolerance.how(Seams::Off);
+        let found = s.heights(&points, &tolerance, how)?;
         let mut out = Output::new();
         if !self.source.json {
             out.line("x,y,z,error_m")?;
@@ -331,7 +332,7 @@ impl Heights {
             if self.source.json {
                 let mut row = row(p, e.as_ref());
                 if self.explain {
-                    row["sources"] = sources(&s, &tolerance, self.tolerance.how(), *p)?;
+                    row["sources"] = sources(&s, &tolerance, how, *p)?;
                 }
                 rows.push(row);
                 continue;
@@ -343,8 +344,7 @@ impl Heights {
                 None => out.line(format!("{},{},,", p[0], p[1]))?,
             }
             if self.explain {
-                for x in sources(&s, &tolerance, self.tolerance.how(), *p)?.as_array().unwrap_or(&Vec::new())
-                {
+                for x in sources(&s, &tolerance, how, *p)?.as_array().unwrap_or(&Vec::new()) {
                     out.line(format!("# {} patch {} weight {}", x["survey"], x["patch"], x["weight"]))?;
                 }
             }
@@ -359,10 +359,11 @@ impl Heights {
 fn row(p: &[f64; 2], e: Option<&Evaluation>) -> Value {
     match e {
         Some(e) => json!({"x": p[0], "y": p[1], "z": e.z, "error_m": e.error_m, "accuracy_m": e.accuracy_m,
-                          "certified": e.certified, "synthetic": false}),
+                          "certified": e.certified, "synthetic": false, "correction_m": e.correction_m,
+                          "contradiction": e.contradiction}),
         None => {
             json!({"x": p[0], "y": p[1], "z": null, "error_m": null, "accuracy_m": null, "certified": false,
-                       "synthetic": false})
+                       "synthetic": false, "correction_m": null, "contradiction": false})
         }
     }
 }

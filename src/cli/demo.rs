@@ -13,7 +13,7 @@ use crate::format;
 use crate::height::crs::Crs;
 use crate::height::lod::cut::Camera;
 use crate::height::patch::Kind;
-use crate::height::surface::Blend;
+use crate::height::surface::{Blend, How, Seams};
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -160,7 +160,8 @@ impl Demo {
         let now = db.snapshot(None)?;
         let raster = Raster::new(&now, None, None, 1400)?;
         let picture = dir.join("helens-2004.png");
-        png(&now, &uniform(2.0), &raster, &picture)?;
+        let bent = How { blend: Blend::Exact, seams: Seams::All };
+        png(&now, &Query { how: bent, ..uniform(2.0) }, &raster, &picture)?;
         out.line(format!(
             "  {}   shaded relief at 2 m error; red: small patches, blue: large ones",
             picture.display()

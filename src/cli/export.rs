@@ -12,6 +12,7 @@ use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use crate::format::relief::{Relief, write_relief};
 use crate::height::crs::Crs;
 use crate::height::source::{Affine, SampleType};
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::fs::File;
@@ -96,7 +97,9 @@ impl Export {
             );
         }
         self.packing.only_for_glb(&ending)?;
-        let query = self.tolerance.inner.query(&self.region)?;
+        let looked_at = ending == "glb" || ending == "png";
+        let seams = if looked_at { Seams::All } else { Seams::Off };
+        let query = self.tolerance.inner.query(&self.region, seams)?;
         match ending.as_str() {
             "glb" => {
                 let m = packed_glb(&s, &query, &self.out, self.packing)?;
@@ -105,8 +108,14 @@ impl Export {
                     && m.error_m > asked
                 {
                     message(&format!(
-                        "note: the surface alone has {:.3} m there (the accuracy of its surveys); with the mesh's {:.3} m that is more than the {asked} m asked",
-                        m.surface_error_m, m.mesh_error_m
+                        "note: the surface alone has {:.3} m there ({}); with the mesh's {:.3} m that is more than the {asked} m asked",
+                        m.surface_error_m,
+                        if m.correction_m > 0.0 {
+                            "the accuracy of its surveys, and what is bent where they disagree: --seams off keeps them apart"
+                        } else {
+                            "the accuracy of its surveys"
+                        },
+                        m.mesh_error_m
                     ));
                 }
                 self.told(&m, &text)
@@ -115,7 +124,7 @@ impl Export {
                 let raster = Raster::new(&s, query.area.bounds(), Some(self.step(&s)?), PICTURE_SIDE)?;
                 let error = tif(&s, &query, &raster, &self.out)?;
                 self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": seams.name()}),
                     &format!("{} x {} posts, error {error:.3} m", raster.cols, raster.rows),
                 )
             }
@@ -124,7 +133,7 @@ impl Export {
                 let raster = Raster::new(&s, query.area.bounds(), step, PICTURE_SIDE)?;
                 let error = png(&s, &query, &raster, &self.out)?;
                 self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": seams.name()}),
                     &format!("{} x {} pixels, coloured by patch size", raster.cols, raster.rows),
                 )
             }

@@ -55,6 +55,9 @@ pub struct MeshFound {
     pub error_m: f64,
     pub surface_error_m: f64,
     pub mesh_error_m: f64,
+    /// Largest correction of seams, part of the surface's error.
+    pub correction_m: f64,
+    pub seams: &'static str,
     /// Of compact meshes.
     #[serde(flatten)]
     pub compacted: Option<Compacted>,
@@ -73,8 +76,12 @@ impl MeshFound {
                 count(c.tiles)
             )
         });
+        let bent = match self.correction_m {
+            0.0 => String::new(),
+            c => format!(", of which {c:.3} by bending at seams"),
+        };
         format!(
-            "{} triangles; error {:.3} m (surface {:.3}, mesh {:.3} measured at {} points{lattice})",
+            "{} triangles; error {:.3} m (surface {:.3}{bent}, mesh {:.3} measured at {} points{lattice})",
             count(self.triangles),
             self.error_m,
             self.surface_error_m,
@@ -111,6 +118,8 @@ pub fn packed_glb(s: &Snapshot, query: &Query, path: &Path, packing: Packing) ->
     let mut extras = Map::new();
     extras.insert("surface_error_m".into(), json!(r.surface_error_m));
     extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
+    extras.insert("seams".into(), json!(query.how.seams.name()));
+    extras.insert("correction_m".into(), json!(r.correction_m));
     if s.crs().unit == AxisUnit::Degree {
         extras.insert(
             "projection".into(),
@@ -147,6 +156,8 @@ pub fn packed_glb(s: &Snapshot, query: &Query, path: &Path, packing: Packing) ->
         error_m: compacted.map_or(r.error_m, |c| add_up(r.error_m, c.quantization_error_m)),
         surface_error_m: r.surface_error_m,
         mesh_error_m: r.mesh.error_m,
+        correction_m: r.correction_m,
+        seams: query.how.seams.name(),
         compacted,
         measured_points: r.mesh.measured_points,
         seconds: started.elapsed().as_secs_f64(),

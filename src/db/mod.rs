@@ -33,6 +33,7 @@ mod redundant;
 mod relocate;
 mod resample;
 mod root;
+mod seams;
 mod subset;
 mod tile;
 mod triangles;

@@ -1,6 +1,7 @@
 //! Questions: which patches a region needs within a tolerance, what changed since, how high it is.
 
 use super::database::Snapshot;
+use super::seams::Fields;
 use super::view::{Rules, Tables, View};
 use crate::base::lattice::Bounds;
 use crate::base::{Error, Result};
@@ -10,7 +11,7 @@ use crate::height::lod::cut::{Camera, Constant, Cut, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
-    Blend, Evaluation, Hood, How, KAPPA, Patch, Sheet, Source, Surface, SurveyField,
+    Blend, Evaluation, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
 use crate::store::quadtree::{Domains, Record, walk};
 use quick_cache::sync::Cache;
@@ -286,10 +287,17 @@ impl Snapshot {
                 floor: r.floor,
             })
             .collect();
-        let surface = Surface::new(self.kind(), origin, self.unit, fields, patches, how.blend);
+        let mut surface = Surface::new(self.kind(), origin, self.unit, fields, patches, how.blend);
+        surface.corrected = how.seams != Seams::Off;
         let data = Data {
             view: &self.view,
             kind: self.kind(),
+            seams: Fields {
+                view: &self.view,
+                unit: self.unit,
+                axis: self.crs.unit,
+                consistent: how.seams == Seams::Consistent,
+            },
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
             shapes: Cache::new(shapes_cached(self.kind())),
@@ -395,6 +403,7 @@ fn shapes_cached(kind: Kind) -> usize {
 struct Data<'a> {
     view: &'a View,
     kind: Kind,
+    seams: Fields<'a>,
     surveys: Vec<SurveyNumber>,
     patches: Vec<(usize, Place)>,
     shapes: Cache<usize, Arc<Shape>>,
@@ -411,6 +420,10 @@ impl Source for Data<'_> {
         let shape = Arc::new(Shape::new(self.kind, z));
         self.shapes.insert(patch, shape.clone());
         Ok(shape)
+    }
+
+    fn seam(&self, survey: usize, i: i32, j: i32) -> Result<Arc<seam::Field>> {
+        self.seams.field(self.surveys[survey], i, j)
     }
 
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>> {

@@ -20,6 +20,8 @@ pub struct RegionMesh {
     pub origin: [f64; 3],
     /// Certified error of the surface: the largest of the contributing patches over the measured posts, metres.
     pub surface_error_m: f64,
+    /// Largest correction of seams over the measured posts, metres; part of surface_error_m.
+    pub correction_m: f64,
     /// surface_error_m + mesh.error_m.
     pub error_m: f64,
 }
@@ -30,6 +32,9 @@ pub const WALL_STEPS: f64 = 0.02;
 
 /// Distances from core' in cells, at which a wall is looked at: dense where the weight of a survey ends.
 const WALL_STATIONS: [f64; 6] = [0.5, 0.85, 0.95, 0.98, 0.99, 1.0];
+
+/// A cell without a height that is further than this share of the mesh's error from a plane over its corners has no wall.
+const WALL_SHARE: f64 = 0.125;
 
 /// Metres east and north of one CRS unit, at a place.
 pub fn metres_per_unit(unit: AxisUnit, at: [f64; 2]) -> [f64; 2] {
@@ -120,7 +125,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let field = GroundField { ground: &ground, origin, scale, failed: Mutex::new(None) };
     let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
     options.wall_m = step * WALL_STEPS;
-    options.posts.extend(walls(s, b, &local)?);
+    options.posts.extend(walls(s, &ground, b, &local, mesh_error_m * WALL_SHARE)?);
     let mesh = triangulate(&field, &polygons, &options, progress);
     if let Some(e) = field.failed.into_inner().unwrap_or(None) {
         return Err(e);
@@ -134,10 +139,11 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     }
     // What the surface promises at its posts.
     let here: Vec<[f64; 2]> = posts.iter().map(|p| [0, 1].map(|k| origin[k] + p[k] / scale[k])).collect();
-    let mut surface_error_m: f64 = 0.0;
+    let (mut surface_error_m, mut correction_m) = (0.0f64, 0.0f64);
     for chunk in here.chunks(1 << 20) {
         for e in ground.heights(chunk)?.into_iter().flatten().filter(|e| e.certified) {
             surface_error_m = surface_error_m.max(e.error_m);
+            correction_m = correction_m.max(e.correction_m.abs());
         }
     }
     // Heights near zero keep their digits as 32-bit floats.
@@ -150,7 +156,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
         p[2] -= up;
     }
     let error_m = surface_error_m + mesh.error_m;
-    Ok(RegionMesh { mesh, origin: [origin[0], origin[1], up], surface_error_m, error_m })
+    Ok(RegionMesh { mesh, origin: [origin[0], origin[1], up], surface_error_m, correction_m, error_m })
 }
 
 /// The largest accuracy number of the surveys that meet a region, metres.
@@ -218,8 +224,14 @@ fn outline_and_posts(
 }
 
 /// Points along the outer side of every survey's ring, where one survey gives way to another: candidates for vertices
-/// that no lattice of posts would hit.
-fn walls(s: &Snapshot, b: [f64; 4], local: &dyn Fn([f64; 2]) -> [f64; 2]) -> Result<Vec<[f64; 2]>> {
+/// that no lattice of posts would hit. Where surveys agree to `flat_m`, or were bent to agree, there is no wall and no candidate.
+fn walls(
+    s: &Snapshot,
+    ground: &Ground,
+    b: [f64; 4],
+    local: &dyn Fn([f64; 2]) -> [f64; 2],
+    flat_m: f64,
+) -> Result<Vec<[f64; 2]>> {
     let rules = Rules(&s.view);
     let size = s.unit().size();
     let bounds = region_bounds(b, size);
@@ -253,20 +265,45 @@ fn walls(s: &Snapshot, b: [f64; 4], local: &dyn Fn([f64; 2]) -> [f64; 2]) -> Res
                 }
             }
         }
-        for (i, j) in ring {
-            // Both ends of each station: the cell may be left towards any side.
-            let stations: Vec<f64> = WALL_STATIONS.iter().flat_map(|t| [*t, 1.0 - *t]).collect();
-            for y in &stations {
-                for x in &stations {
-                    let p = g.frame.post(i, j);
-                    let q = [
-                        p.x as f64 + x * g.frame.u.x as f64 + y * g.frame.v.x as f64,
-                        p.y as f64 + x * g.frame.u.y as f64 + y * g.frame.v.y as f64,
-                    ];
-                    let at = [q[0] * size, q[1] * size];
-                    if at[0] > b[0] && at[0] < b[2] && at[1] > b[1] && at[1] < b[3] {
-                        out.push(local(at));
-                    }
+        // Both ends of each station: the cell may be left towards any side.
+        let stations: Vec<f64> = WALL_STATIONS.iter().flat_map(|t| [*t, 1.0 - *t]).collect();
+        let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
+        let spots: Vec<[f64; 2]> = corners
+            .into_iter()
+            .chain(stations.iter().flat_map(|y| stations.iter().map(move |x| [*x, *y])))
+            .collect();
+        let ring: Vec<(i64, i64)> = ring.into_iter().collect();
+        for some in ring.chunks(1024) {
+            let at: Vec<[f64; 2]> = some
+                .iter()
+                .flat_map(|(i, j)| {
+                    let p = g.frame.post(*i, *j);
+                    spots.iter().map(move |[x, y]| {
+                        let (u, v) = (g.frame.u, g.frame.v);
+                        [
+                            (p.x as f64 + x * u.x as f64 + y * v.x as f64) * size,
+                            (p.y as f64 + x * u.y as f64 + y * v.y as f64) * size,
+                        ]
+                    })
+                })
+                .collect();
+            // Outside of the region no patches were selected: no height is asked there, and the cell is kept.
+            let held = |p: &[f64; 2]| p[0] > b[0] && p[0] < b[2] && p[1] > b[1] && p[1] < b[3];
+            let asked: Vec<[f64; 2]> = at.iter().filter(|p| held(p)).copied().collect();
+            let mut found = ground.heights(&asked)?.into_iter();
+            let z: Vec<Option<f64>> =
+                at.iter().map(|p| if held(p) { found.next().flatten().map(|e| e.z) } else { None }).collect();
+            for (at, z) in at.chunks_exact(spots.len()).zip(z.chunks_exact(spots.len())) {
+                let flat = if let [Some(z00), Some(z10), Some(z01), Some(z11)] = z[..4] {
+                    spots.iter().zip(z).all(|([x, y], z)| {
+                        let (left, right) = (z00 + (z01 - z00) * y, z10 + (z11 - z10) * y);
+                        z.is_some_and(|z| (z - (left + (right - left) * x)).abs() <= flat_m)
+                    })
+                } else {
+                    false
+                };
+                if !flat {
+                    out.extend(at[4..].iter().filter(|p| held(p)).map(|p| local(*p)));
                 }
             }
         }

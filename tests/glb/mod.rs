@@ -8,7 +8,7 @@ use reader::{Glb, read};
 use serde_json::Value;
 use terraquilt::db::query::Tolerance;
 use terraquilt::db::{Db, Snapshot};
-use terraquilt::height::surface::Blend;
+use terraquilt::height::surface::{Blend, How, Seams};
 
 impl Glb {
     /// Height of the mesh at points: each point is looked for in the triangles of its square.
@@ -69,9 +69,17 @@ struct Met {
 
 /// Compares mesh and surface at points. A point where they differ by more counts as met if the surface takes the mesh's
 /// height within `wall` metres sideways.
-fn compare(s: &Snapshot, mesh: &Glb, surface_error: f64, bound: f64, wall: f64, points: &[[f64; 2]]) -> Met {
+fn compare(
+    s: &Snapshot,
+    mesh: &Glb,
+    (surface_error, seams): (f64, Seams),
+    bound: f64,
+    wall: f64,
+    points: &[[f64; 2]],
+) -> Met {
+    let how = How { blend: Blend::Exact, seams };
     let tolerance = Tolerance::Constant(surface_error);
-    let found = s.heights(points, &tolerance, Blend::Exact).unwrap();
+    let found = s.heights(points, &tolerance, how).unwrap();
     let mut met = Met { points: 0, worst: 0.0, at_walls: 0 };
     for ((p, z), e) in points.iter().zip(mesh.heights(points)).zip(found) {
         let (Some(z), Some(e)) = (z, e) else { continue };
@@ -87,7 +95,7 @@ fn compare(s: &Snapshot, mesh: &Glb, surface_error: f64, bound: f64, wall: f64, 
                 [0.25, 0.5, 0.75, 1.0].map(|r| [p[0] + r * wall * c, p[1] + r * wall * s])
             })
             .collect();
-        let beside = s.heights(&around, &tolerance, Blend::Exact).unwrap();
+        let beside = s.heights(&around, &tolerance, how).unwrap();
         let (lo, hi) = beside.iter().flatten().fold((e.z, e.z), |(lo, hi), b| (lo.min(b.z), hi.max(b.z)));
         let beyond = (lo - z).max(z - hi).max(0.0);
         met.worst = met.worst.max(beyond);
@@ -98,6 +106,15 @@ fn compare(s: &Snapshot, mesh: &Glb, surface_error: f64, bound: f64, wall: f64, 
 
 #[test]
 fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
+    mesh_is_surface(Seams::Off);
+}
+
+#[test]
+fn a_mesh_over_corrected_seams_is_the_surface_within_its_bound() {
+    mesh_is_surface(Seams::All);
+}
+
+fn mesh_is_surface(seams: Seams) {
     let folder = tempfile::tempdir().unwrap();
     let db = folder.path().join("db");
     let path = db.to_str().unwrap();
@@ -123,7 +140,12 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
     let out = folder.path().join("dome.glb");
     let bbox = [562_120.0, 5_115_450.0, 562_900.0, 5_116_350.0];
     let text = bbox.map(|v| v.to_string()).join(",");
-    let told = printed(&["export", path, out.to_str().unwrap(), "--error", "6", "--bbox", &text, "--json"]);
+    let mut args = vec!["export", path, out.to_str().unwrap(), "--error", "6", "--bbox", &text, "--json"];
+    // Seams are corrected unless said otherwise.
+    if seams == Seams::Off {
+        args.extend(["--seams", "off"]);
+    }
+    let told = printed(&args);
     let told: Value = serde_json::from_str(&told).unwrap();
     let mesh = read(&out);
     let extras = &mesh.json["asset"]["extras"];
@@ -131,7 +153,11 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
     assert_eq!(extras["crs"], "EPSG:26910");
     assert_eq!(extras["version"], 3);
     assert_eq!(number(&extras["error_m"]), number(&told["error_m"]));
-    assert!(number(&extras["error_m"]) <= 6.0, "{extras}");
+    assert_eq!(extras["seams"], seams.name());
+    let bent = number(&extras["correction_m"]);
+    assert!((bent > 1.0) == (seams == Seams::All));
+    assert!(number(&extras["error_m"]) <= 6.0 + bent, "{extras}");
+    assert!(number(&extras["surface_error_m"]) >= bent);
     assert_eq!(
         number(&extras["error_m"]),
         number(&extras["surface_error_m"]) + number(&extras["mesh_error_m"])
@@ -180,7 +206,7 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         ("patch borders", &borders),
     ] {
         // The surface is taken at the accuracy of the crater, 2 m; the mesh has the other 4 m.
-        let met = compare(&s, &mesh, 2.0, 4.0, 2.0 * 0.02, points);
+        let met = compare(&s, &mesh, (2.0, seams), 4.0, 2.0 * 0.02, points);
         println!(
             "{what}: {} points, worst {:.4} m of 4 m, {} of them at walls (surface passes the mesh within 4 cm)",
             met.points, met.worst, met.at_walls
@@ -189,5 +215,5 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         assert!(met.points * 10 > points.len() * 9, "{what}: only {} points compared", met.points);
         assert!(met.at_walls * 200 < met.points, "{what}: {} points at walls", met.at_walls);
     }
-    println!("{} triangles, {border} border edges", mesh.triangles.len());
+    println!("{}: {} triangles, {border} border edges, {}", seams.name(), mesh.triangles.len(), told);
 }

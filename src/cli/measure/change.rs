@@ -8,6 +8,7 @@ use crate::cli::output::{Meter, Output, stop_flag};
 use crate::db::query::Query;
 use crate::db::{Db, Progress, Snapshot};
 use crate::format::colour_map::Ramp;
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -117,7 +118,7 @@ impl Volume {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = self.between.tolerance.query(&self.between.region)?;
+        let query = self.between.tolerance.query(&self.between.region, Seams::Off)?;
         let c = self.between.compare(&states, &query, None, |_, go| go(&mut |_, _| Ok(())))?;
         let mut out = Output::new();
         if self.json {
@@ -186,7 +187,7 @@ impl Difference {
         };
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = self.between.tolerance.query(&self.between.region)?;
+        let query = self.between.tolerance.query(&self.between.region, Seams::Off)?;
         let picture = Picture { ramp: Ramp::Diverging, range, unit: "m", legend: true };
         let mut size = [0; 2];
         let c = self.between.compare(&states, &query, png.then_some(PICTURE_SIDE), |grid, go| {

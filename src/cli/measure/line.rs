@@ -6,6 +6,7 @@ use crate::cli::args::{Source, ToleranceArgs, numbers};
 use crate::cli::output::Output;
 use crate::db::query::{Area, Query};
 use crate::format::geojson::read_line;
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -43,7 +44,10 @@ pub struct Profile {
 
 /// The surface that is asked at points of its own: a region has no part in it.
 fn terrain<'a>(s: &'a crate::db::Snapshot, tolerance: &ToleranceArgs) -> Result<Terrain<'a>> {
-    Terrain::new(s, &Query { area: Area::Everything, tolerance: tolerance.get()?, how: tolerance.how() })
+    Terrain::new(
+        s,
+        &Query { area: Area::Everything, tolerance: tolerance.get()?, how: tolerance.how(Seams::Off) },
+    )
 }
 
 impl Profile {

@@ -7,6 +7,7 @@ use crate::cli::args::{Region, Source, ToleranceArgs};
 use crate::cli::export::write_whole;
 use crate::cli::output::{Output, count};
 use crate::format::geojson::{FeatureWriter, Shape};
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::{Map, json};
 use std::path::PathBuf;
@@ -35,7 +36,7 @@ pub struct StatisticsCommand {
 impl StatisticsCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = self.tolerance.query(&self.region, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let f = metered("heights", |going| analysis::statistics(&terrain, &grid, going))?;
@@ -97,7 +98,7 @@ impl ContoursCommand {
             return Err(no_format(&self.out, ".geojson"));
         }
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = self.tolerance.query(&self.region, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let levels = Levels { interval: self.interval, base: self.base };

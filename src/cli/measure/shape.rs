@@ -8,6 +8,7 @@ use crate::base::{Error, Result};
 use crate::cli::args::{Region, Source, ToleranceArgs};
 use crate::cli::output::Output;
 use crate::format::colour_map::Ramp;
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -119,7 +120,7 @@ impl Drawn {
             _ => return Err(no_format(&self.out, ".tif or .png")),
         };
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = self.tolerance.query(&self.region, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let side = png.then_some(PICTURE_SIDE);
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, side)?;
