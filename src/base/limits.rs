@@ -19,3 +19,9 @@ pub const RASTER_POSTS_MAX: u64 = 400_000_000;
 pub const MESH_VERTICES_MAX: usize = 20_000_000;
 /// Bytes of one page of a segment, compressed or not.
 pub const PAGE_BYTES_MAX: u64 = 64 << 20;
+/// Posts of a raster of tolerances.
+pub const TOLERANCE_POSTS_MAX: u64 = 64 << 20;
+/// Points of one polygon that names a region.
+pub const POLYGON_POINTS_MAX: u64 = 500_000;
+/// Bytes of a GeoJSON file.
+pub const GEOJSON_BYTES_MAX: u64 = 128 << 20;
