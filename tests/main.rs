@@ -9,6 +9,8 @@ mod bad_input;
 mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
 mod crash;
+/// Coordinates: values of PROJ, datum shifts that have to be chosen, heights over geoids.
+mod crs;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
 /// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
