@@ -1,13 +1,13 @@
 //! A region of the surface as triangles: the one surface function, its outline and its posts handed to `mesh/`.
 
 use super::Snapshot;
-use super::query::{Ground, Query, Tolerance};
+use super::query::{Area, Ground, Query, Tolerance};
 use super::view::{Rules, Tables};
 use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::cover::rects;
 use crate::height::lod::{Cells, World};
-use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, outline, triangulate};
+use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, outline, outline_within, triangulate};
 use std::sync::Mutex;
 
 /// Posts that one mesh is measured at, at most.
@@ -112,11 +112,19 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let scale = metres_per_unit(s.crs().unit, origin);
     let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);
     let (quads, posts, step) = outline_and_posts(s, &ground, b, &local, scale)?;
-    let clip = query.area.bounds().map(|_| {
-        let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
-        [lo[0], lo[1], hi[0], hi[1]]
-    });
-    let polygons = outline(&quads, clip)?;
+    let polygons = match &query.area {
+        Area::Everything => outline(&quads, None)?,
+        Area::Box(_) => {
+            let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
+            outline(&quads, Some([lo[0], lo[1], hi[0], hi[1]]))?
+        }
+        Area::Polygon(p) => {
+            let ring = |r: &Vec<[f64; 2]>| r.iter().map(|q| local(*q)).collect::<Vec<_>>();
+            let parts: Vec<Vec<Vec<[f64; 2]>>> =
+                p.parts().iter().map(|part| part.iter().map(ring).collect()).collect();
+            outline_within(&quads, &parts)?
+        }
+    };
     let field = GroundField { ground: &ground, origin, scale, failed: Mutex::new(None) };
     let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
     options.wall_m = step * WALL_STEPS;

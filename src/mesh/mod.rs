@@ -27,7 +27,7 @@ mod weave;
 
 pub use check::{MeshStats, check};
 pub use delaunay::triangulate;
-pub use outline::{Polygon, grid_unit, outline};
+pub use outline::{Polygon, grid_unit, outline, outline_within};
 
 /// Height and slope of a surface at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,6 +4,7 @@
 use super::Cut;
 use crate::base::{Error, Result, limits};
 use crate::height::source::Affine;
+use std::sync::Arc;
 
 /// Tolerances at the posts of a grid, metres, with a pyramid of their least and greatest values.
 #[derive(Clone, Debug, PartialEq)]
@@ -178,6 +179,18 @@ impl Cut for ErrorRaster {
         let by_i = if on[0] { (1.0 - t) * (b - a) + t * (d - c) } else { 0.0 };
         let by_j = if on[1] { (1.0 - s) * (c - a) + s * (d - b) } else { 0.0 };
         [by_i * self.by_x[0] + by_j * self.by_x[1], by_i * self.by_y[0] + by_j * self.by_y[1]]
+    }
+}
+
+impl Cut for Arc<ErrorRaster> {
+    fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64) {
+        self.as_ref().bounds(polygon)
+    }
+    fn at(&self, p: [f64; 2]) -> f64 {
+        self.as_ref().at(p)
+    }
+    fn gradient(&self, p: [f64; 2]) -> [f64; 2] {
+        self.as_ref().gradient(p)
     }
 }
 
