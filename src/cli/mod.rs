@@ -10,7 +10,10 @@ mod demo;
 mod export;
 mod ingest;
 mod output;
+mod place;
+mod points;
 mod shading;
+mod tolerance;
 
 use crate::base::{Error, Result};
 use clap::{Parser, Subcommand};

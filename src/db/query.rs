@@ -204,13 +204,12 @@ impl Snapshot {
         {
             return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
         }
-        let mut found =
-            self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
+        let mut found = self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
         if let Area::Polygon(polygon) = &query.area {
             let (rules, size) = (Rules(&self.view), self.unit.size());
-            found
-                .records
-                .retain(|r| polygon.meets(&rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size])));
+            found.records.retain(|r| {
+                polygon.meets(&rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size]))
+            });
         }
         Ok(found)
     }

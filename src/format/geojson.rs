@@ -68,7 +68,9 @@ pub fn parse(name: &str, text: &str) -> Result<Polygons> {
     if found.parts.is_empty() {
         let reason = match found.others {
             0 => "holds no geometry, so the region is empty".to_string(),
-            n => format!("holds {n} points or lines but no polygon; a region needs a Polygon or MultiPolygon"),
+            n => {
+                format!("holds {n} points or lines but no polygon; a region needs a Polygon or MultiPolygon")
+            }
         };
         return Err(Error::invalid(name, reason));
     }
@@ -184,7 +186,10 @@ mod tests {
             (r#"{"type":"Polygon","coordinates":[[[0,0],[1]]]}"#, "damaged GeoJSON"),
             (r#"{"type":"Polygon","coordinates":[[[0,0],["1",2]]]}"#, "damaged GeoJSON"),
             (r#"{"type":"Polygon","coordinates":[[[0,0],[1,1],[0,0]]]}"#, "has 3 points"),
-            (r#"{"type":"Polygon","coordinates":[[[0,0],[1,1],[1,0],[0,2]]]}"#, "not closed: it begins at 0, 0"),
+            (
+                r#"{"type":"Polygon","coordinates":[[[0,0],[1,1],[1,0],[0,2]]]}"#,
+                "not closed: it begins at 0, 0",
+            ),
             (r#"{"type":"Polygon","coordinates":[]}"#, "empty"),
             (r#"{"type":"FeatureCollection","features":[]}"#, "empty"),
             (r#"{"type":"LineString","coordinates":[[0,0],[1,1]]}"#, "no polygon"),

@@ -92,13 +92,22 @@ pub fn outline(quads: &[[[f64; 2]; 4]], clip: Option<[f64; 4]>) -> Result<Vec<Po
 /// # Errors
 /// [`Error::Invalid`] if a coordinate is not finite.
 pub fn outline_within(quads: &[[[f64; 2]; 4]], clip: &[Vec<Vec<[f64; 2]>>]) -> Result<Vec<Polygon>> {
-    if quads.iter().flatten().flatten().chain(clip.iter().flatten().flatten().flatten()).any(|v| !v.is_finite()) {
+    if quads
+        .iter()
+        .flatten()
+        .flatten()
+        .chain(clip.iter().flatten().flatten().flatten())
+        .any(|v| !v.is_finite())
+    {
         return Err(Error::invalid("outline", "a coordinate is not a number"));
     }
-    let [x0, y0, x1, y1] = clip.iter().flatten().flatten().fold(
-        [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY],
-        |b, p| [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])],
-    );
+    let [x0, y0, x1, y1] = clip
+        .iter()
+        .flatten()
+        .flatten()
+        .fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |b, p| {
+            [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])]
+        });
     let inside = |quad: &&[[f64; 2]; 4]| {
         clip.is_empty()
             || quad.iter().any(|p| p[0] >= x0)
