@@ -125,6 +125,11 @@ impl Export {
                         m.surface_error_m, m.mesh_error_m
                     ));
                 }
+                if let Some(used) = m.tolerance_used.filter(|u| *u > 1.0) {
+                    message(&format!(
+                        "note: somewhere the surveys are less accurate than was asked: surface and mesh need {used:.2} times the tolerance there"
+                    ));
+                }
                 self.told(&m, &text)
             }
             "tif" | "tiff" => {
@@ -216,6 +221,9 @@ pub struct MeshFound {
     pub error_m: f64,
     pub surface_error_m: f64,
     pub mesh_error_m: f64,
+    /// Largest part of the tolerance that was needed, where it is not the same everywhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerance_used: Option<f64>,
     pub measured_points: u64,
     pub seconds: f64,
 }
@@ -234,6 +242,9 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
     let mut extras = Map::new();
     extras.insert("surface_error_m".into(), json!(r.surface_error_m));
     extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
+    if let Some(used) = r.tolerance_used {
+        extras.insert("tolerance_used".into(), json!(used));
+    }
     if s.crs().unit == crate::height::crs::AxisUnit::Degree {
         extras.insert(
             "projection".into(),
@@ -263,6 +274,7 @@ pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
         error_m: r.error_m,
         surface_error_m: r.surface_error_m,
         mesh_error_m: r.mesh.error_m,
+        tolerance_used: r.tolerance_used,
         measured_points: r.mesh.measured_points,
         seconds: started.elapsed().as_secs_f64(),
     })

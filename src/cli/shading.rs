@@ -56,7 +56,7 @@ impl<'a> Raster<'a> {
         let area = |g: &&Geometry| g.steps[0] * g.steps[1];
         let finest = |pass: &dyn Fn(&Geometry) -> bool| {
             let found = s.entries().map(|e| &e.geometry).filter(|g| pass(g));
-            found.min_by(|g, h| area(g).total_cmp(&area(h)))
+            found.min_by(|g, h| area(g).total_cmp(&area(h)).then(h.precedence.cmp(&g.precedence)))
         };
         let upright = |g: &Geometry| g.frame.u.y == 0 && g.frame.v.x == 0;
         if place.coords.is_none()

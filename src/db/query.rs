@@ -64,7 +64,7 @@ impl Area {
     }
 
     /// A convex region around it; `None`: everything.
-    fn convex(&self) -> Option<Region> {
+    pub(super) fn convex(&self) -> Option<Region> {
         let hull = match self {
             Area::Polygon(p) => Region::hull(p.points().collect()),
             _ => Region::from_box(self.bounds()?),
@@ -214,7 +214,23 @@ impl Snapshot {
         Ok(found)
     }
 
-    fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
+    /// The part of an area that the camera of a question sees.
+    pub(super) fn in_view(&self, query: &Query) -> Result<Area> {
+        if let Area::Polygon(_) = query.area {
+            return Err(Error::unsupported(
+                "GLB",
+                "what a camera sees is not cut along a polygon",
+                "give a --bbox in the database's CRS with the camera",
+            ));
+        }
+        let seen = Region::hull(self.region(query)?.polygon).polygon;
+        if seen.len() < 3 {
+            return Err(Error::invalid("--eye", "the camera sees nothing of the region"));
+        }
+        Ok(Area::Polygon(Arc::new(Polygon::new("view of the camera", vec![vec![seen]])?)))
+    }
+
+    pub(super) fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
         let z = self.z_range().unwrap_or([0.0; 2]);
         match tolerance {
             // Without bound means: the coarsest surface there is.

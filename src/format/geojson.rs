@@ -101,8 +101,14 @@ impl Polygons {
         let number = self.parts.len() + 1;
         let mut part = Vec::with_capacity(rings.len());
         for (n, ring) in rings.iter().enumerate() {
-            let mut points: Ring = ring.iter().map(|p| [p[0], p[1]]).collect();
             let place = format!("ring {} of part {number}", n + 1);
+            let mut points = Ring::with_capacity(ring.len());
+            for position in ring {
+                let [x, y, ..] = *position.as_slice() else {
+                    return Err(Error::corrupt(name, place, "a position has less than two numbers"));
+                };
+                points.push([x, y]);
+            }
             if points.len() < 4 {
                 let reason = format!(
                     "{place} has {} points; a ring needs 3 and the first of them again at its end",
@@ -183,7 +189,7 @@ mod tests {
             ("", "damaged GeoJSON"),
             ("{\"type\":\"Polygon\"", "damaged GeoJSON"),
             ("[1,2]", "damaged GeoJSON"),
-            (r#"{"type":"Polygon","coordinates":[[[0,0],[1]]]}"#, "damaged GeoJSON"),
+            (r#"{"type":"Polygon","coordinates":[[[0,0],[1]]]}"#, "less than two"),
             (r#"{"type":"Polygon","coordinates":[[[0,0],["1",2]]]}"#, "damaged GeoJSON"),
             (r#"{"type":"Polygon","coordinates":[[[0,0],[1,1],[0,0]]]}"#, "has 3 points"),
             (
