@@ -33,6 +33,8 @@ mod kill;
 mod oracle;
 /// Any order of arrival, tiles, removal: one fingerprint.
 mod order;
+/// Tolerances that vary, regions by polygon, coordinates of the user's choice.
+mod reach;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
 /// Surveys delivered in another system than the database's: their posts, their tiles, what is refused.

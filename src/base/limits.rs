@@ -25,3 +25,9 @@ pub const CONTOUR_POSTS_MAX: u64 = 64 << 20;
 pub const LINE_VERTICES_MAX: u64 = 20_000_000;
 /// Bytes of a text file of lines that is read.
 pub const LINE_FILE_BYTES_MAX: u64 = 64 << 20;
+/// Posts of a raster of tolerances.
+pub const TOLERANCE_POSTS_MAX: u64 = 64 << 20;
+/// Points of one polygon that names a region.
+pub const POLYGON_POINTS_MAX: u64 = 500_000;
+/// Bytes of a GeoJSON file.
+pub const GEOJSON_BYTES_MAX: u64 = 128 << 20;

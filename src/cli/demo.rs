@@ -4,6 +4,7 @@ use super::export::png;
 use super::ingest::carry_out;
 use super::mesh::glb;
 use super::output::{Output, bytes, count};
+use super::place::Place;
 use super::shading::Raster;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -158,7 +159,8 @@ impl Demo {
 
         out.line("\nDrawn:")?;
         let now = db.snapshot(None)?;
-        let raster = Raster::new(&now, None, None, 1400)?;
+        let place = Place::default();
+        let raster = Raster::new(&now, &place, None, 1400)?;
         let picture = dir.join("helens-2004.png");
         let bent = How { blend: Blend::Exact, seams: Seams::All };
         png(&now, &Query { how: bent, ..uniform(2.0) }, &raster, &picture)?;

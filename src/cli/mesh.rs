@@ -56,6 +56,9 @@ pub struct MeshFound {
     pub surface_error_m: f64,
     pub mesh_error_m: f64,
     /// Largest correction of seams, part of the surface's error.
+    /// Largest part of the tolerance that was needed, where it is not the same everywhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerance_used: Option<f64>,
     pub correction_m: f64,
     pub seams: &'static str,
     /// Of compact meshes.
@@ -120,6 +123,9 @@ pub fn packed_glb(s: &Snapshot, query: &Query, path: &Path, packing: Packing) ->
     extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
     extras.insert("seams".into(), json!(query.how.seams.name()));
     extras.insert("correction_m".into(), json!(r.correction_m));
+    if let Some(used) = r.tolerance_used {
+        extras.insert("tolerance_used".into(), json!(used));
+    }
     if s.crs().unit == AxisUnit::Degree {
         extras.insert(
             "projection".into(),
@@ -156,6 +162,7 @@ pub fn packed_glb(s: &Snapshot, query: &Query, path: &Path, packing: Packing) ->
         error_m: compacted.map_or(r.error_m, |c| add_up(r.error_m, c.quantization_error_m)),
         surface_error_m: r.surface_error_m,
         mesh_error_m: r.mesh.error_m,
+        tolerance_used: r.tolerance_used,
         correction_m: r.correction_m,
         seams: query.how.seams.name(),
         compacted,

@@ -13,7 +13,10 @@ mod measure;
 mod mesh;
 mod origin;
 mod output;
+mod place;
+mod points;
 mod shading;
+mod tolerance;
 mod upkeep;
 
 use crate::base::{Error, Result};

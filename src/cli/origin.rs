@@ -75,7 +75,8 @@ pub struct ProvenanceCommand {
 impl ProvenanceCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let p = s.provenance(&self.tolerance.query(&self.region, Seams::Off)?, self.step)?;
+        let query = self.tolerance.query(&self.region.place(&s)?, &s, Seams::Off)?;
+        let p = s.provenance(&query, self.step)?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&p)?;

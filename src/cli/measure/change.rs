@@ -118,7 +118,8 @@ impl Volume {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = self.between.tolerance.query(&self.between.region, Seams::Off)?;
+        let place = self.between.region.place(&states[1])?;
+        let query = self.between.tolerance.query(&place, &states[1], Seams::Off)?;
         let c = self.between.compare(&states, &query, None, |_, go| go(&mut |_, _| Ok(())))?;
         let mut out = Output::new();
         if self.json {
@@ -187,7 +188,9 @@ impl Difference {
         };
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = self.between.tolerance.query(&self.between.region, Seams::Off)?;
+        let place = self.between.region.place(&states[1])?;
+        super::stays(&place, &states[1]);
+        let query = self.between.tolerance.query(&place, &states[1], Seams::Off)?;
         let picture = Picture { ramp: Ramp::Diverging, range, unit: "m", legend: true };
         let mut size = [0; 2];
         let c = self.between.compare(&states, &query, png.then_some(PICTURE_SIDE), |grid, go| {

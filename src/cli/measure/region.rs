@@ -36,7 +36,7 @@ pub struct StatisticsCommand {
 impl StatisticsCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region, Seams::Off)?;
+        let query = self.tolerance.query(&self.region.place(&s)?, &s, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let f = metered("heights", |going| analysis::statistics(&terrain, &grid, going))?;
@@ -98,7 +98,8 @@ impl ContoursCommand {
             return Err(no_format(&self.out, ".geojson"));
         }
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region, Seams::Off)?;
+        let place = self.region.place(&s)?;
+        let query = self.tolerance.query(&place, &s, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let levels = Levels { interval: self.interval, base: self.base };
@@ -108,10 +109,15 @@ impl ContoursCommand {
         extras.insert("error_m".into(), json!(found.error_m));
         extras.insert("step".into(), json!(grid.step));
         write_whole(&self.out, |p| {
-            let mut out = FeatureWriter::new(super::create(p)?, s.crs(), extras)?;
+            let crs = place.coords.as_ref().map_or(s.crs(), |c| &c.crs);
+            let mut out = FeatureWriter::new(super::create(p)?, crs, extras)?;
             for l in &found.lines {
+                let points: Vec<[f64; 2]> = match &place.coords {
+                    None => l.points.clone(),
+                    Some(c) => l.points.iter().filter_map(|p| c.outward(*p)).collect(),
+                };
                 let properties = json!({"elevation": l.elevation, "error_m": l.error_m, "closed": l.closed});
-                out.feature(Shape::Line(&l.points), &properties)?;
+                out.feature(Shape::Line(&points), &properties)?;
             }
             out.finish().map(|_| ())
         })?;

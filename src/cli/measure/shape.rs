@@ -120,7 +120,9 @@ impl Drawn {
             _ => return Err(no_format(&self.out, ".tif or .png")),
         };
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region, Seams::Off)?;
+        let place = self.region.place(&s)?;
+        super::stays(&place, &s);
+        let query = self.tolerance.query(&place, &s, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let side = png.then_some(PICTURE_SIDE);
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, side)?;
