@@ -163,7 +163,8 @@ impl<'a> Header<'a> {
             words.iter().find_map(|w| w.strip_prefix("rotation=")).map_or(Some(0.0), |w| w.parse().ok());
         let found = if let ([col, row, x, y, dx, dy], Some(turned)) = (&numbers[..], turned) {
             let (sin, cos) = if turned == 0.0 { (0.0, 1.0) } else { f64::to_radians(turned).sin_cos() };
-            let (col_step, row_step) = ([cos * dx, -sin * dy], [-sin * dx, -cos * dy]);
+            // Counter-clockwise, as GDAL reads it.
+            let (col_step, row_step) = ([cos * dx, sin * dy], [sin * dx, -cos * dy]);
             // The centre of the first cell.
             let (i, j) = (1.5 - col, 1.5 - row);
             let at = |k: usize, p: f64| p + i * col_step[k] + j * row_step[k];

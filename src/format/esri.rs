@@ -172,7 +172,9 @@ impl<'a> Header<'a> {
             "I" | "LSBFIRST" | "INTEL" => false,
             "M" | "MSBFIRST" | "MOTOROLA" => true,
             _ => {
-                return Err(self.bad("BYTEORDER", format!("'{order}' is neither I, M, LSBFIRST nor MSBFIRST")));
+                return Err(
+                    self.bad("BYTEORDER", format!("'{order}' is neither I, M, LSBFIRST nor MSBFIRST"))
+                );
             }
         };
         let at = self.bytes("SKIPBYTES")?.unwrap_or(0);

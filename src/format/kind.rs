@@ -74,6 +74,9 @@ pub fn open_plain(input: Input) -> Result<Box<dyn HeightSource>> {
     if usgs::begins(&head) {
         return Ok(Box::new(UsgsDem::open(input)?));
     }
+    if SIDECARS.contains(&extension.as_str()) {
+        return Err(Error::unsupported(name, "no grid, but what lies beside one", "name the grid itself"));
+    }
     let headers = sidecar::names(&name, &["hdr"]);
     if let Some(header) = input.beside.find(&headers)?
         && is_header(&header.text)
@@ -90,9 +93,6 @@ pub fn open_plain(input: Input) -> Result<Box<dyn HeightSource>> {
         let shown: Vec<String> = head.iter().take(4).map(|b| format!("{b:02x}")).collect();
         let reason = format!("a TIFF begins with II or MM, this file with bytes {}", shown.join(" "));
         return Err(Error::corrupt(name, "header at byte 0", reason));
-    }
-    if SIDECARS.contains(&extension.as_str()) {
-        return Err(Error::unsupported(name, "no grid, but what lies beside one", "name the grid itself"));
     }
     let what = format!("a format that is not known by its first bytes; {READ}");
     Err(Error::unsupported(name, what, CONVERT))

@@ -97,7 +97,9 @@ impl Blocks {
             stride_bytes,
             sample_bytes: layout.bytes_per_sample,
             block_bytes: block_bytes as u64,
-            plain: ifd.compression() == COMPRESSION_NONE && ifd.fill_order() != FILL_ORDER_LOW_BIT_FIRST,
+            plain: ifd.compression() == COMPRESSION_NONE
+                && ifd.fill_order() != FILL_ORDER_LOW_BIT_FIRST
+                && layout.bits_per_sample.is_multiple_of(8),
             lzma: ifd.compression() == COMPRESSION_LZMA,
             offsets: Vec::new(),
             counts: Vec::new(),

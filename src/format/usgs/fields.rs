@@ -95,7 +95,7 @@ mod tests {
         assert_eq!(f.real().unwrap(), None);
         let mut f = Fields::new(&text[25..], 0);
         assert_eq!(f.real().unwrap(), Some(557945.011821133));
-        assert_eq!(f.real().unwrap(), None);
+        assert_eq!(f.real().unwrap(), Some(1.0));
         assert_eq!(f.integer().unwrap(), None);
         assert_eq!(Fields::new(&b"99999999999"[..], 0).integer().unwrap(), None);
         assert_eq!(real(b" -0.5D+02 "), Some(-50.0));
