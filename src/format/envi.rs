@@ -6,6 +6,7 @@ use super::geotiff::shorten;
 use super::input::Input;
 use super::raw::{Layout, RawGrid};
 use super::sidecar::{self, Sidecar};
+use super::window;
 use crate::base::{Error, Result};
 use crate::height::crs::Crs;
 use crate::height::source::{Affine, SampleType, SourceInfo};
@@ -23,6 +24,7 @@ pub fn is_header(text: &str) -> bool {
 pub fn open(input: Input, header: &Sidecar) -> Result<RawGrid> {
     let h = Header::read(header);
     let (cols, rows) = (h.count("samples", None)?, h.count("lines", None)?);
+    window::check_size(&input.file, cols, rows)?;
     let bands = h.count("bands", Some(1))?;
     let sample_type = h.sample_type()?;
     let mut notes = Vec::new();
@@ -50,7 +52,7 @@ pub fn open(input: Input, header: &Sidecar) -> Result<RawGrid> {
     }
     info.crs = h.crs(&mut info.notes);
     sidecar::complete(&mut info, &input, &[])?;
-    let layout = h.layout(cols, rows, bands, sample_type.bytes() as u64)?;
+    let layout = h.layout(cols, bands, sample_type.bytes() as u64)?;
     RawGrid::new(info, input, layout)
 }
 
@@ -123,7 +125,7 @@ impl<'a> Header<'a> {
     }
 
     /// Band 1 of `bands`.
-    fn layout(&self, cols: u64, rows: u64, bands: u64, width: u64) -> Result<Layout> {
+    fn layout(&self, cols: u64, bands: u64, width: u64) -> Result<Layout> {
         let big_endian = match self.count("byte order", Some(0))? {
             0 => false,
             1 => true,
@@ -141,8 +143,8 @@ impl<'a> Header<'a> {
                 );
             }
         };
-        if bands == 0 || rows == 0 {
-            return Err(self.bad("bands", format!("{bands} bands of {rows} rows")));
+        if bands == 0 {
+            return Err(self.bad("bands", "there are none"));
         }
         Ok(Layout { at: self.count("header offset", Some(0))?, sample_stride, row_stride, big_endian })
     }

@@ -8,6 +8,7 @@
 use super::input::Input;
 use super::raw::{Layout, RawGrid};
 use super::sidecar::{self, Sidecar};
+use super::window;
 use crate::base::{Error, Result};
 use crate::height::source::{Affine, SampleType, SourceInfo};
 use std::collections::BTreeMap;
@@ -22,6 +23,7 @@ pub fn open(input: Input, header: &Sidecar) -> Result<RawGrid> {
     let h = Header::read(header);
     let mut notes = Vec::new();
     let (cols, rows) = (h.count("NCOLS")?, h.count("NROWS")?);
+    window::check_size(&input.file, cols, rows)?;
     let bands = if h.has("NBANDS") { h.count("NBANDS")? } else { 1 };
     let nodata = h.number_of(&["NODATA_VALUE", "NODATA"])?;
     let sample_type = h.sample_type(&input.file, nodata, &mut notes)?;
@@ -34,7 +36,7 @@ pub fn open(input: Input, header: &Sidecar) -> Result<RawGrid> {
         cols,
         rows,
         sample_type,
-        affine: h.affine(cols, rows)?,
+        affine: h.affine(rows)?,
         crs: None,
         nodata,
         scale: 1.0,
@@ -108,11 +110,11 @@ impl<'a> Header<'a> {
     }
 
     /// Posts are centres of cells.
-    fn affine(&self, cols: u64, rows: u64) -> Result<Option<Affine>> {
+    fn affine(&self, rows: u64) -> Result<Option<Affine>> {
         let dx = self.number_of(&["CELLSIZE", "DX", "XDIM"])?;
         let dy = self.number_of(&["CELLSIZE", "DY", "YDIM"])?;
         let (Some(dx), Some(dy)) = (dx, dy) else { return Ok(None) };
-        let down = rows.saturating_sub(1) as f64 * dy;
+        let down = (rows - 1) as f64 * dy;
         let x = match (self.number("XLLCORNER")?, self.number_of(&["XLLCENTER", "ULXMAP"])?) {
             (Some(x), _) => x + dx / 2.0,
             (None, Some(x)) => x,
@@ -125,7 +127,7 @@ impl<'a> Header<'a> {
             _ => return Ok(None),
         };
         let affine = Affine { origin: [x, y], col_step: [dx, 0.0], row_step: [0.0, -dy] };
-        if !sidecar::usable(&affine) || dx < 0.0 || dy < 0.0 || cols == 0 {
+        if !sidecar::usable(&affine) || dx < 0.0 || dy < 0.0 {
             return Err(self.bad("cell size", format!("{dx} x {dy} from ({x}, {y}) is no grid")));
         }
         Ok(Some(affine))
@@ -189,7 +191,7 @@ impl<'a> Header<'a> {
             "BSQ" => (width, self.bytes("BANDROWBYTES")?.unwrap_or(band_row)),
             _ => return Err(self.bad("LAYOUT", format!("'{order}' is neither BIL, BIP nor BSQ"))),
         };
-        let row_span = sample_stride.saturating_mul(cols.saturating_sub(1)).saturating_add(width);
+        let row_span = sample_stride.saturating_mul(cols - 1).saturating_add(width);
         if row_bytes < row_span && rows > 1 {
             let reason = format!("rows of {row_bytes} bytes, but {cols} samples need {row_span}");
             return Err(self.bad("TOTALROWBYTES", reason));

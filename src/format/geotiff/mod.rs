@@ -1,6 +1,6 @@
 //! GeoTIFF: classic, BigTIFF and COG, read window by window; and written band of rows by band of rows.
 //!
-//! [`GeoTiff`] reads the first band of the first image. Its parts: `blocks` holds a file's strips or tiles
+//! `GeoTiff` reads the first band of the first image. Its parts: `blocks` holds a file's strips or tiles
 //! against its size and the limits before any is decoded; `georef` turns tags and GeoKeys into positions
 //! and a CRS; `metadata` reads nodata, scale and offset; `stored` widens what no sample type holds; `lzma` decodes
 //! the one compression that the library lacks. [`GeoTiffWriter`] writes.
