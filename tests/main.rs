@@ -17,7 +17,7 @@ mod crash;
 mod crs;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
-/// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
+/// Formats in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
 /// Meshes as GLB: within the bound, manifold, exact border.
 mod glb;

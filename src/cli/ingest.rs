@@ -258,7 +258,7 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
 pub struct IngestFiles {
     /// Directory of the database
     db: PathBuf,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Name of the survey; default: that of the first file
@@ -289,7 +289,7 @@ pub struct Replace {
     db: PathBuf,
     /// Survey whose tiles are delivered again
     survey: String,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     #[command(flatten)]

@@ -112,7 +112,7 @@ pub struct Affine {
 pub struct SourceInfo {
     /// The file, as the user named it; used in errors.
     pub file: String,
-    /// `GeoTIFF` or `HGT`.
+    /// Name of the format, for messages: `GeoTIFF`, `HGT`, `DTED`, ...
     pub format: &'static str,
     pub cols: u64,
     pub rows: u64,
