@@ -11,6 +11,8 @@ pub const SIDE_MAX: u64 = 2_000_000;
 pub const WINDOW_POSTS_MAX: u64 = 64 << 20;
 /// Bytes of one decoded block or strip of an input file.
 pub const INPUT_BLOCK_BYTES_MAX: u64 = 1 << 30;
+/// Posts of one geoid grid: a global grid of one minute of arc has 233 million.
+pub const GEOID_POSTS_MAX: u64 = 250_000_000;
 /// Bytes of a text field (name, CRS) in a declaration.
 pub const TEXT_BYTES_MAX: usize = 4096;
 /// Posts (cells) of one exported raster.

@@ -78,6 +78,9 @@ impl Hgt {
             nodata: Some(VOID),
             scale: 1.0,
             offset: 0.0,
+            // SRTM counts from the EGM96 geoid, in metres.
+            vertical_datum: Some("EPSG:5773".to_string()),
+            vertical_unit_m: Some(1.0),
             accuracy_m: Some(ACCURACY_M),
             product: Some("SRTM"),
             notes: Vec::new(),

@@ -91,6 +91,8 @@ impl Grid {
                 nodata: Some(f64::NAN),
                 scale: 1.0,
                 offset: 0.0,
+                vertical_datum: None,
+                vertical_unit_m: None,
                 accuracy_m: None,
                 product: None,
                 notes: Vec::new(),

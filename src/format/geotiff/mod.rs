@@ -2,7 +2,7 @@
 //!
 //! [`GeoTiff`] reads the first band of the first image. Its parts: `blocks` holds a file's strips or tiles
 //! against its size and the limits before any is decoded; `georef` turns tags and GeoKeys into positions
-//! and a CRS; `metadata` reads nodata, scale and offset. [`GeoTiffWriter`] writes.
+//! and a CRS, with `projection` where the keys spell one out; `metadata` reads nodata, scale and offset. [`GeoTiffWriter`] writes.
 //!
 //! This folder is the only door to `tiff-reader` (decoding) and `flate2` (encoding). The layout of the bytes
 //! is that of TIFF 6.0 (Adobe, 1992), BigTIFF (2007) and GeoTIFF 1.1 (OGC 19-008r4).
@@ -10,6 +10,7 @@
 mod blocks;
 mod georef;
 mod metadata;
+mod projection;
 mod read;
 mod write;
 

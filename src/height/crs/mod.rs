@@ -3,18 +3,24 @@
 //! A [`Crs`] is a text that is stored and compared, with the unit of its axes. [`Transform`] is the way from one
 //! to another. This folder is the only door to proj-core and proj-wkt.
 
+mod automatic;
 mod datum;
 mod definition;
 mod esri;
+pub mod geoid;
 mod notation;
+mod own;
 mod transform;
+pub mod vertical;
 mod wkt;
 
+pub use automatic::{automatic, lonlat_bounds};
 pub use datum::{DatumChoice, Helmert};
+pub use notation::datum_words;
 pub use transform::Transform;
 
 use crate::base::{Error, Result};
-use definition::Definition;
+use definition::{Definition, Method};
 
 /// Unit of the horizontal axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,6 +96,10 @@ impl Crs {
 /// system in degrees, so a file in one of these would be read 10 % too large: they are refused.
 const GRAD_CODES: [u32; 8] = [4807, 4810, 4811, 4816, 4819, 4821, 4901, 4902];
 
+/// EPSG systems that proj-core does not hold, as PROJ 9.5.1 writes them: EASE-Grid 2.0.
+const ADDED: [(u32, &str); 1] =
+    [(6933, "+proj=cea +lat_ts=30 +lon_0=0 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs")];
+
 /// What an EPSG code defines; of a compound system, its horizontal part.
 ///
 /// # Errors
@@ -97,6 +107,9 @@ const GRAD_CODES: [u32; 8] = [4807, 4810, 4811, 4816, 4819, 4821, 4901, 4902];
 /// systems in grads.
 fn epsg_definition(code: u32) -> Result<Definition> {
     let text = format!("EPSG:{code}");
+    if let Some((_, definition)) = ADDED.iter().find(|(c, _)| *c == code) {
+        return notation::core_of(definition);
+    }
     let known = (!GRAD_CODES.contains(&code)).then(|| proj_core::lookup_epsg(code)).flatten();
     let crs = known.ok_or_else(|| {
         Error::unsupported(
@@ -112,7 +125,8 @@ fn epsg_definition(code: u32) -> Result<Definition> {
 fn differs_from_proj(code: &str, definition: &Definition) -> Option<&'static str> {
     let _ = code;
     match definition.projection {
-        Some(proj_core::ProjectionMethod::EquidistantCylindrical { .. }) if definition.ellipsoid.f != 0.0 => {
+        Some(Method::Core(proj_core::ProjectionMethod::EquidistantCylindrical { .. }))
+            if definition.ellipsoid.f != 0.0 => {
             Some(
                 "an equidistant cylindrical system on an ellipsoid, for which versions of PROJ use different \
              formulas, up to 25 km apart",
