@@ -5,6 +5,7 @@
 //! mark voids; they never hold a whole file that comes in strips or tiles. [`voids`] decides which
 //! samples are no height. Each folder is the only door to the library behind it.
 
+pub mod geoid;
 pub mod geotiff;
 pub mod gltf;
 pub mod hgt;

@@ -169,9 +169,8 @@ pub fn crs(keys: &GeoKeys, notes: &mut Vec<String>) -> Option<Crs> {
         },
     };
     let read = match code {
-        Some(code) => Crs::from_epsg(u32::from(code)).map_err(|_| {
-            format!("the file's CRS EPSG:{code} is not in the registry of this build")
-        }),
+        Some(code) => Crs::from_epsg(u32::from(code))
+            .map_err(|_| format!("the file's CRS EPSG:{code} is not in the registry of this build")),
         None => match keys.esri_text() {
             Some(wkt) => Crs::parse(wkt).map_err(|e| format!("the file's CRS is not understood: {e}")),
             None => projection::proj_string(keys).and_then(|text| {
@@ -188,9 +187,8 @@ fn unit_fault(keys: &GeoKeys, crs: &Crs) -> Option<String> {
     match crs.unit {
         AxisUnit::Degree => {
             let unit = keys.short(KEY_ANGULAR_UNIT).unwrap_or(UNIT_DEGREE);
-            (unit != UNIT_DEGREE && unit != UNIT_DEGREE_UNSPECIFIED).then(|| {
-                format!("the file says {} but counts angles in unit {unit}, not degrees", crs.code)
-            })
+            (unit != UNIT_DEGREE && unit != UNIT_DEGREE_UNSPECIFIED)
+                .then(|| format!("the file says {} but counts angles in unit {unit}, not degrees", crs.code))
         }
         AxisUnit::Metre(expected) => {
             // One part in a million divides the two feet.

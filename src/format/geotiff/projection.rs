@@ -53,7 +53,9 @@ pub fn proj_string(keys: &GeoKeys) -> Result<String, String> {
     let projection = match keys.code(KEY_PROJECTION) {
         Some(zone @ 16001..=16060) => format!("+proj=utm +zone={}", zone - 16000),
         Some(zone @ 16101..=16160) => format!("+proj=utm +zone={} +south", zone - 16100),
-        Some(code) => return Err(format!("the file's CRS rests on projection EPSG:{code}, which is not read")),
+        Some(code) => {
+            return Err(format!("the file's CRS rests on projection EPSG:{code}, which is not read"));
+        }
         None => method(keys)?,
     };
     let unit = linear_unit(keys).unwrap_or(1.0);
@@ -84,7 +86,8 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
             let azimuth = or_zero(&[AZIMUTH]);
             let skew = first(&[SKEW_ANGLE]).unwrap_or(azimuth);
             let variant = if code == 3 { "+no_uoff " } else { "" };
-            let (lonc, lat) = (first(&[CENTRE_LONGITUDE]).unwrap_or(lon), first(&[CENTRE_LATITUDE]).unwrap_or(lat));
+            let (lonc, lat) =
+                (first(&[CENTRE_LONGITUDE]).unwrap_or(lon), first(&[CENTRE_LATITUDE]).unwrap_or(lat));
             format!(
                 "+proj=omerc {variant}+lat_0={lat} +lonc={lonc} +alpha={azimuth} +gamma={skew} +k={scale} {place}"
             )
@@ -100,7 +103,8 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
         }
         9 => format!("+proj=lcc {origin} +lat_1={lat} +lat_2={lat} +k_0={scale} {place}"),
         10 => {
-            let (lon, lat) = (first(&[CENTRE_LONGITUDE]).unwrap_or(lon), first(&[CENTRE_LATITUDE]).unwrap_or(lat));
+            let (lon, lat) =
+                (first(&[CENTRE_LONGITUDE]).unwrap_or(lon), first(&[CENTRE_LATITUDE]).unwrap_or(lat));
             format!("+proj=laea +lat_0={lat} +lon_0={lon} {place}")
         }
         11 => format!("+proj=aea {origin} +lat_1={lat_1} +lat_2={lat_2} {place}"),
@@ -119,7 +123,9 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
         22 => format!("+proj=poly {origin} {place}"),
         24 => format!("+proj=sinu +lon_0={lon} {place}"),
         28 => format!("+proj=cea +lat_ts={lat_1} +lon_0={lon} {place}"),
-        code => return Err(format!("the file's CRS uses projection method {code} of GeoTIFF, which is not read")),
+        code => {
+            return Err(format!("the file's CRS uses projection method {code} of GeoTIFF, which is not read"));
+        }
     })
 }
 

@@ -121,15 +121,48 @@ fn epsg_definition(code: u32) -> Result<Definition> {
     Definition::from_core(&text, &crs)
 }
 
+/// EPSG systems that count longitude from Paris, Ferro, Oslo and so on. proj-core reads them as if from
+/// Greenwich. Source: prime meridians in the registry of PROJ 9.5.1.
+const OTHER_MERIDIAN: [std::ops::RangeInclusive<u32>; 24] = [
+    2062..=2062,
+    2934..=2934,
+    2963..=2963,
+    4801..=4821,
+    4901..=4904,
+    5221..=5229,
+    5329..=5331,
+    8042..=8045,
+    20790..=20791,
+    21100..=21100,
+    21500..=21500,
+    21780..=21780,
+    22300..=22300,
+    25700..=25700,
+    26591..=26592,
+    27391..=27398,
+    27500..=27500,
+    27561..=27564,
+    27571..=27574,
+    27581..=27584,
+    27591..=27594,
+    29700..=29702,
+    31251..=31253,
+    31281..=31293,
+];
+
 /// Why a system must not be transformed: proj-core and PROJ compute it differently.
 fn differs_from_proj(code: &str, definition: &Definition) -> Option<&'static str> {
-    let _ = code;
+    let epsg = code.strip_prefix("EPSG:").and_then(|n| n.parse::<u32>().ok());
+    if epsg.is_some_and(|n| OTHER_MERIDIAN.iter().any(|codes| codes.contains(&n))) {
+        return Some("a system that counts longitude from another meridian than Greenwich");
+    }
     match definition.projection {
         Some(Method::Core(proj_core::ProjectionMethod::EquidistantCylindrical { .. }))
-            if definition.ellipsoid.f != 0.0 => {
+            if definition.ellipsoid.f != 0.0 =>
+        {
             Some(
                 "an equidistant cylindrical system on an ellipsoid, for which versions of PROJ use different \
-             formulas, up to 25 km apart",
+                 formulas, up to 25 km apart",
             )
         }
         _ => None,

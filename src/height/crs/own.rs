@@ -52,9 +52,10 @@ pub(super) fn read(text: &str) -> Result<Option<Definition>> {
     let value = |key: &str| words.iter().find(|(k, _)| *k == key).map(|(_, v)| *v);
     let number = |key: &str| -> Result<f64> {
         let Some(v) = value(key) else { return Ok(0.0) };
-        v.parse().ok().filter(|n: &f64| n.is_finite()).ok_or_else(|| {
-            crate::base::Error::invalid(text, format!("+{key}={v} is not a number"))
-        })
+        v.parse()
+            .ok()
+            .filter(|n: &f64| n.is_finite())
+            .ok_or_else(|| crate::base::Error::invalid(text, format!("+{key}={v} is not a number")))
     };
     let kind = match value("proj") {
         Some("cea") => Kind::CylindricalEqualArea { lat_ts: number("lat_ts")? },

@@ -82,7 +82,8 @@ pub struct Vertical {
 }
 
 /// Systems that hang on the datum of another one, in another unit: code, code of the one in metres, unit.
-const IN_FEET: [(u32, u32, f64); 3] = [(6360, 5703, US_FOOT_M), (8228, 5703, FOOT_M), (5702, 7968, US_FOOT_M)];
+const IN_FEET: [(u32, u32, f64); 3] =
+    [(6360, 5703, US_FOOT_M), (8228, 5703, FOOT_M), (5702, 7968, US_FOOT_M)];
 
 /// Compound systems that proj-core does not hold: code and vertical code.
 const COMPOUND: [(u32, u32); 8] = [
@@ -173,8 +174,7 @@ impl Vertical {
         };
         let axis_unit = node.children().find_map(|c| c.child(&["LENGTHUNIT", "UNIT"]));
         let unit = node.child(&["UNIT", "LENGTHUNIT"]).or(axis_unit);
-        let unit_m =
-            unit.and_then(|u| u.text(1)?.parse().ok()).filter(|m: &f64| m.is_finite() && *m > 0.0);
+        let unit_m = unit.and_then(|u| u.text(1)?.parse().ok()).filter(|m: &f64| m.is_finite() && *m > 0.0);
         Vertical { datum: recorded, unit_m }
     }
 }
