@@ -17,6 +17,8 @@ pub const SIDECAR_BYTES_MAX: u64 = 4 << 20;
 pub const ARCHIVE_MEMBERS_MAX: u64 = 10_000;
 /// Bytes of an unpacked member of a zip archive: it is held in memory while it is read.
 pub const ARCHIVE_MEMBER_BYTES_MAX: u64 = 512 << 20;
+/// Posts of one geoid grid: a global grid of one minute of arc has 233 million.
+pub const GEOID_POSTS_MAX: u64 = 250_000_000;
 /// Bytes of a text field (name, CRS) in a declaration.
 pub const TEXT_BYTES_MAX: usize = 4096;
 /// Posts (cells) of one exported raster.

@@ -55,8 +55,9 @@ pub fn open(input: Input) -> Result<RawGrid> {
         offset: 0.0,
         accuracy_m: Some(ACCURACY_M),
         product: Some("SRTM"),
-        vertical_datum: None,
-        vertical_unit_m: None,
+        // SRTM counts from the EGM96 geoid, in metres.
+        vertical_datum: Some("EPSG:5773".to_string()),
+        vertical_unit_m: Some(1.0),
         notes: Vec::new(),
     };
     let row_stride = side * POST_BYTES;

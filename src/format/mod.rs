@@ -19,10 +19,11 @@
 
 mod archive;
 mod ascii;
+pub mod colour_map;
 mod dted;
 mod envi;
 mod esri;
-pub mod colour_map;
+pub mod geoid;
 pub mod geojson;
 pub mod geotiff;
 pub mod gltf;

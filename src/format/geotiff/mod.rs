@@ -2,7 +2,7 @@
 //!
 //! `GeoTiff` reads the first band of the first image. Its parts: `blocks` holds a file's strips or tiles
 //! against its size and the limits before any is decoded; `georef` turns tags and GeoKeys into positions
-//! and a CRS; `metadata` reads nodata, scale and offset; `stored` widens what no sample type holds; `lzma` decodes
+//! and a CRS, with `projection` where the keys spell one out; `metadata` reads nodata, scale and offset; `stored` widens what no sample type holds; `lzma` decodes
 //! the one compression that the library lacks. [`GeoTiffWriter`] writes.
 //!
 //! This folder is the only door to `tiff-reader` and `lzma-rust2` (decoding), `half`, and `flate2` (encoding). The layout of the bytes
@@ -12,6 +12,7 @@ mod blocks;
 mod georef;
 mod lzma;
 mod metadata;
+mod projection;
 mod read;
 mod stored;
 mod write;

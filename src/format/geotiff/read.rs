@@ -104,6 +104,7 @@ impl GeoTiff {
         let crs = georef::crs(&keys, &mut notes);
         let text = |tag| ifd.tag(tag).and_then(|t| t.value.as_str());
         let band = parse_band_metadata(text(TAG_GDAL_METADATA).unwrap_or(""), &mut notes);
+        let vertical = georef::vertical(&keys, band.unit.as_deref());
         notes.extend(georef::height_unit_note(&keys, band.unit.as_deref()));
         let nodata = match text(TAG_GDAL_NODATA) {
             None => None,
@@ -124,10 +125,10 @@ impl GeoTiff {
             nodata,
             scale: band.scale,
             offset: band.offset,
+            vertical_datum: vertical.datum,
+            vertical_unit_m: vertical.unit_m,
             accuracy_m: None,
             product: None,
-            vertical_datum: None,
-            vertical_unit_m: None,
             notes,
         };
         let voids = Voids::of(&mut info);
