@@ -5,6 +5,7 @@
 //! DB/writer.lock      held by the one writer      DB/readers/V-PID-N         leases of readers
 //! ```
 
+use super::awaiting::AWAITING;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -21,7 +22,7 @@ use std::sync::Arc;
 
 /// The oldest and the newest version of the whole format that this program opens. New databases are of the newest.
 pub const FORMAT_OLDEST: u32 = 1;
-pub const FORMAT_NEWEST: u32 = 1;
+pub const FORMAT_NEWEST: u32 = 2;
 
 /// How surveys rank where no explicit precedence is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -161,7 +162,8 @@ impl Db {
                 ));
             }
             // What an `init` leaves that was cut off is no reason to refuse.
-            let ours = |name: &str| name == "segments" || name == "readers" || LEFTOVERS.contains(&name);
+            let ours =
+                |name: &str| ["segments", "readers", AWAITING].contains(&name) || LEFTOVERS.contains(&name);
             if !entries.all(|e| e.is_ok_and(|e| e.file_name().to_str().is_some_and(ours))) {
                 return Err(Error::invalid(root.display(), "is not empty; give a new directory"));
             }
@@ -194,6 +196,12 @@ impl Db {
             ));
         }
         if !path.exists() {
+            if root.join(AWAITING).exists() {
+                return Err(Error::missing(
+                    format!("a coordinate system in {}", root.display()),
+                    "it is chosen when the first survey comes (`terraquilt ingest`)",
+                ));
+            }
             if root.join(UNFINISHED).exists() {
                 return Err(Error::missing(
                     format!("catalog of {}", root.display()),

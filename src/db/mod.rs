@@ -8,6 +8,7 @@
 //! - [`verify`]: everything that can be checked; [`fingerprint`]: one hash of the logical content.
 
 mod arrive;
+mod awaiting;
 mod backup;
 mod build;
 mod change;
@@ -41,6 +42,7 @@ mod update;
 mod view;
 mod writing;
 
+pub use awaiting::Awaiting;
 pub use backup::BackupOutcome;
 pub use change::{Change, Ingest, Outcome, Progress};
 pub use check::{Report, verify};
