@@ -103,3 +103,31 @@ fn readers_are_undisturbed_by_compactions_and_prunes() {
     prune_to_one(&s.db);
     assert_eq!(numbers(&s.db).len(), 1);
 }
+
+#[test]
+fn prune_before_a_version_leaves_it_and_what_readers_hold() {
+    let (s, _) = two_tiles();
+    s.remove("over");
+    s.ingest(&grid("more", 5.0, 40, 0, 9));
+    let path = s.path();
+    let prune = |before: &str| -> serde_json::Value {
+        serde_json::from_str(&printed(&["prune", path.to_str().unwrap(), "--before", before, "--json"]))
+            .unwrap()
+    };
+    let records = || -> Vec<u64> {
+        let names = s.db.disk().names().unwrap();
+        names.iter().filter_map(|(n, _)| n.strip_suffix(".tqv")?.parse().ok()).collect()
+    };
+    let kept = state(&s.db);
+    let reader = s.db.snapshot(Some(1)).unwrap();
+    let o = prune("3");
+    assert_eq!((&o["pruned"], &o["kept_for_readers"]), (&serde_json::json!([2]), &serde_json::json!([1])));
+    assert_eq!((numbers(&s.db), records()), (vec![1, 3, 4], vec![1, 3, 4]), "a record goes with its version");
+    assert_eq!(terraquilt::db::fingerprint(&reader).unwrap(), kept[&1]);
+    drop(reader);
+    assert_eq!(prune("3")["pruned"], serde_json::json!([1]));
+    assert_eq!((numbers(&s.db), records()), (vec![3, 4], vec![3, 4]));
+    assert_eq!(prune("99")["pruned"], serde_json::json!([3]), "the latest stays");
+    assert_eq!((numbers(&s.db), records()), (vec![4], vec![4]));
+    verify(&s.db);
+}
