@@ -17,6 +17,7 @@ use terraquilt::height::crs::Crs;
 use terraquilt::height::frame::{CellRect, Frame};
 use terraquilt::height::lod::cutter::standing;
 use terraquilt::height::lod::{Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World};
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::SampleType;
 use terraquilt::height::surface::Blend;
 
@@ -161,7 +162,10 @@ fn standings(c: &mut Criterion) {
 }
 
 fn helens(folder: &Path) -> Result<Db> {
-    let db = Db::create(folder, &Options { crs: Crs::parse("EPSG:26910")?, policy: Policy::Newest })?;
+    let db = Db::create(
+        folder,
+        &Options { crs: Crs::parse("EPSG:26910")?, policy: Policy::Newest, patch: Kind::Bilinear },
+    )?;
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/st_helens");
     let stop = AtomicBool::new(false);
     for (date, accuracy_m) in

@@ -7,6 +7,7 @@ use crate::base::{Error, Result};
 use crate::db::{self, Change, Db, Options, Outcome, Policy, Progress};
 use crate::format;
 use crate::height::crs::{Crs, DatumChoice};
+use crate::height::patch::Kind;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -20,13 +21,17 @@ enum PolicyName {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum PatchKind {
+    /// Continuous; fastest
     Bilinear,
+    /// Cubic splines: slopes and curvature are continuous, too
     Bicubic,
 }
 
 /// Make a new, empty database
 #[derive(Args)]
-#[command(after_help = "Example:\n  terraquilt init pit --crs EPSG:32610 --policy newest")]
+#[command(
+    after_help = "Examples:\n  terraquilt init pit --crs EPSG:32610 --policy newest\n  terraquilt init dunes --crs EPSG:32611 --patch bicubic"
+)]
 pub struct Init {
     /// Directory to make
     db: PathBuf,
@@ -36,16 +41,13 @@ pub struct Init {
     /// Who wins where surveys overlap
     #[arg(long, value_enum, default_value = "accuracy")]
     policy: PolicyName,
-    /// Kind of patches
+    /// Kind of patches: what lies between posts
     #[arg(long, value_enum, default_value = "bilinear")]
     patch: PatchKind,
 }
 
 impl Init {
     pub fn run(self) -> Result<bool> {
-        if matches!(self.patch, PatchKind::Bicubic) {
-            return Err(Error::unsupported("--patch bicubic", "not there yet", "use --patch bilinear"));
-        }
         let Some(crs) = self.crs else {
             return Err(Error::invalid(
                 "--crs",
@@ -56,12 +58,17 @@ impl Init {
             PolicyName::Accuracy => Policy::Accuracy,
             PolicyName::Newest => Policy::Newest,
         };
-        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy })?;
+        let patch = match self.patch {
+            PatchKind::Bilinear => Kind::Bilinear,
+            PatchKind::Bicubic => Kind::Bicubic,
+        };
+        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy, patch })?;
         message(&format!(
-            "made {} in {}, policy {}; next: terraquilt ingest {} FILE --accuracy METRES",
+            "made {} in {}, policy {}, {} patches; next: terraquilt ingest {} FILE --accuracy METRES",
             db.path().display(),
             db.crs().code,
             policy.name(),
+            patch.name(),
             db.path().display()
         ));
         Ok(true)
@@ -182,6 +189,24 @@ pub fn carry_out(db: &Db, change: Change, operation: Option<&str>, dry_run: bool
     outcome
 }
 
+/// One line about two surveys that contradict each other.
+pub fn contradiction(c: &db::Contradiction) -> String {
+    let hint = c.hint.as_ref().map_or(String::new(), |h| format!("; {h}"));
+    format!(
+        "'{}' and '{}' contradict each other on {:.1} % of {:.3} km2 (more than {} m apart): mean {:+.2} m, std {:.2} m, largest {:+.2} m at {}, {}{hint}",
+        c.finer,
+        c.coarser,
+        c.share * 100.0,
+        c.overlap_m2 / 1e6,
+        crate::base::round::significant(c.allowed_m, 6),
+        c.mean_m,
+        c.std_m,
+        c.largest_m,
+        crate::base::round::significant(c.largest_at[0], 9),
+        crate::base::round::significant(c.largest_at[1], 9),
+    )
+}
+
 fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
     for w in &o.warnings {
         message(&format!("note: {w}"));
@@ -219,6 +244,9 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
     for (name, cells) in &o.flipped_cells {
         out.line(format!("  shows or hides {} cells of '{name}'", count(*cells)))?;
     }
+    for c in &o.contradictions {
+        out.line(format!("  {}", contradiction(c)))?;
+    }
     out.end()
 }
 
@@ -230,7 +258,7 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
 pub struct IngestFiles {
     /// Directory of the database
     db: PathBuf,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Name of the survey; default: that of the first file
@@ -261,7 +289,7 @@ pub struct Replace {
     db: PathBuf,
     /// Survey whose tiles are delivered again
     survey: String,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     #[command(flatten)]

@@ -4,6 +4,7 @@ use super::args::{Region, Source, ToleranceArgs};
 use super::output::{Output, bytes, count, table};
 use crate::base::Result;
 use crate::db;
+use crate::height::surface::Seams;
 use clap::Args;
 
 fn percent(share: f64) -> String {
@@ -74,7 +75,8 @@ pub struct ProvenanceCommand {
 impl ProvenanceCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let p = s.provenance(&self.tolerance.query(&self.region)?, self.step)?;
+        let query = self.tolerance.query(&self.region.place(&s)?, &s, Seams::Off)?;
+        let p = s.provenance(&query, self.step)?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&p)?;

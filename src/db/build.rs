@@ -4,6 +4,7 @@
 //! with fills), errors over every sample, content keys. Sections 8, 9, 12 and 13 of the LOD-space specification.
 
 use super::change::Progress;
+use super::errors::errors;
 use super::head::{Declaration, Head, Tile};
 use super::reader::{BlockCache, SampleReader};
 use super::resample::{Resampling, warp_of};
@@ -13,12 +14,12 @@ use crate::height::block::{BLOCK, RawBlock, encode};
 use crate::height::cells::{Block, Fill};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Fact, LEVEL_MAX, Place, places_meeting, places_touching_posts};
-use crate::height::patch::{Residuals, bottom, id};
+use crate::height::patch::{Kind, bottom, id};
 use crate::store::segment::{Layered, PageRef, SegmentWriter};
 use crate::store::table::{PageAddress, PatchEntry, PatchPage, block_slot, slot};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// The state of a survey before the change.
 pub struct Before<'a> {
@@ -35,12 +36,16 @@ pub struct Built {
     pub changed: Vec<(Place, Option<PatchEntry>, Option<PatchEntry>)>,
     /// Pages of the previous state that are dead now.
     pub dead: Vec<PageRef>,
+    /// Posts of the survey that may have changed.
+    pub dirty: CellRect,
     /// What resampling did to the samples that changed, if the survey is resampled and it was asked for.
     pub resampling: Option<Resampling>,
 }
 
 /// What is built from.
 pub struct Input<'a> {
+    /// Of all patches of the database.
+    pub kind: Kind,
     pub declaration: Declaration,
     /// Descending by key.
     pub tiles: Vec<(Tile, Arc<Directory>)>,
@@ -381,7 +386,11 @@ impl Builder<'_> {
     ) -> Result<()> {
         let all = self.posts;
         let ranges: Vec<CellRect> = (0..=level_max).map(|l| self.dirty_places(l, &all)).collect();
-        let deltas = self.with_reader(base, out, |reader| errors(reader, &ranges, &all, progress))?;
+        let kind = self.input.kind;
+        let deltas = self.with_reader(base, out, |reader| {
+            let exists = |place| Ok(self.core_fill(place)? != Fill::Empty);
+            errors(reader, kind, &ranges, &all, &exists, progress)
+        })?;
         let declaration_id = self.input.declaration.id();
         let accuracy = self.input.declaration.accuracy_m;
         for level in 0..=level_max {
@@ -399,8 +408,8 @@ impl Builder<'_> {
                             let k = ((j - range.j0) * range.width() + i - range.i0) as usize;
                             let delta = if level == 0 { 0.0 } else { deltas[level as usize][k] };
                             let bot = bottom(accuracy, delta);
-                            let z = reader.vertices(place)?;
-                            found.push((place, Fact { id: id(&declaration_id, place, &z, bot), bot }));
+                            let z = reader.vertices(kind, place)?;
+                            found.push((place, Fact { id: id(kind, &declaration_id, place, &z, bot), bot }));
                         }
                         Ok(found)
                     })
@@ -466,7 +475,7 @@ impl Builder<'_> {
             patches,
             pages: list.into_iter().collect(),
         };
-        Ok(Built { head, pages, changed: self.changed, dead, resampling: None })
+        Ok(Built { head, pages, changed: self.changed, dead, dirty: self.dirty, resampling: None })
     }
 }
 
@@ -584,95 +593,4 @@ fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Res
         j0 = j1;
     }
     Ok((n > 0).then(|| (sum / n as f64) as f32))
-}
-
-/// Largest error of every wanted place of every level above 0: one pass over the posts, bands in parallel.
-fn errors(
-    reader: &SampleReader,
-    ranges: &[CellRect],
-    all: &CellRect,
-    progress: &Progress,
-) -> Result<Vec<Vec<f64>>> {
-    let totals: Vec<Mutex<Vec<f64>>> =
-        ranges.iter().map(|r| Mutex::new(vec![0.0; (r.width() * r.height()) as usize])).collect();
-    if ranges.len() < 2 {
-        return Ok(totals.into_iter().map(|m| m.into_inner().unwrap_or_default()).collect());
-    }
-    let rows = blocks_of(all);
-    let done = std::sync::atomic::AtomicU64::new(0);
-    (rows.j0..rows.j1).collect::<Vec<i64>>().into_par_iter().with_max_len(1).try_for_each(
-        |bj| -> Result<()> {
-            let (j0, j1) = ((bj * BLOCK).max(all.j0), ((bj + 1) * BLOCK).min(all.j1));
-            // Per level: the wanted places that this band touches, and their columns of posts.
-            let mut gather: Vec<(Residuals, CellRect)> = Vec::new();
-            let mut cols = CellRect::new(0, 0, 0, 0);
-            for (level, range) in ranges.iter().enumerate().skip(1) {
-                let level = level as u8;
-                let touched = places_touching_posts(level, i64::MIN / 4, j0, i64::MAX / 4, j1 - 1);
-                let places =
-                    CellRect::new(range.i0, range.j0.max(touched.j0), range.i1, range.j1.min(touched.j1));
-                if places.is_empty() {
-                    continue;
-                }
-                let lo = Place::new(level, places.i0, 0).domain().i0.max(all.i0);
-                let hi = (Place::new(level, places.i1 - 1, 0).domain().i1 + 1).min(all.i1);
-                if lo >= hi {
-                    continue;
-                }
-                cols = cols.union(&CellRect::new(lo, j0, hi, j1));
-                gather.push((
-                    Residuals::new(level, places, lo, (hi - lo) as usize),
-                    CellRect::new(lo, 0, hi, 1),
-                ));
-            }
-            if gather.is_empty() {
-                return Ok(());
-            }
-            progress.check()?;
-            let posts = reader.posts(&CellRect::new(cols.i0, j0, cols.i1, j1))?;
-            let width = cols.width() as usize;
-            for (g, own) in &mut gather {
-                let level = g.level();
-                let (v0, vn) = g.vertices();
-                let (mut below, mut above) = (vec![0.0; vn], vec![0.0; vn]);
-                let mut at = i64::MIN;
-                for j in j0..j1 {
-                    if !g.wants(j) {
-                        continue;
-                    }
-                    let v = j >> level;
-                    if v != at {
-                        if v == at.wrapping_add(1) {
-                            std::mem::swap(&mut below, &mut above);
-                        } else {
-                            reader.line(level, v0, v, &mut below)?;
-                        }
-                        reader.line(level, v0, v + 1, &mut above)?;
-                        at = v;
-                    }
-                    let row = &posts[(j - j0) as usize * width..][..width];
-                    let from = (own.i0 - cols.i0) as usize;
-                    g.row(j, &row[from..from + own.width() as usize], &below, &above);
-                }
-            }
-            for (g, _) in gather {
-                let (level, places) = (g.level() as usize, g.places());
-                let found = g.finish();
-                let range = &ranges[level];
-                let mut total = totals[level].lock().expect("no thread panicked while holding the errors");
-                for (k, d) in found.into_iter().enumerate() {
-                    let (pi, pj) =
-                        (places.i0 + k as i64 % places.width(), places.j0 + k as i64 / places.width());
-                    let t = &mut total[((pj - range.j0) * range.width() + pi - range.i0) as usize];
-                    *t = t.max(d);
-                }
-            }
-            let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-            progress.step("errors", n as f64 / rows.height() as f64)
-        },
-    )?;
-    Ok(totals
-        .into_iter()
-        .map(|m| m.into_inner().expect("no thread panicked while holding the errors"))
-        .collect())
 }

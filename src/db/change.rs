@@ -1,5 +1,6 @@
 //! What a commit does: ingest, replace, remove, set. One survey's samples change in one commit.
 
+use super::contradictions::Contradiction;
 use super::database::Db;
 use super::resample::Resampling;
 use super::root::SurveyEntry;
@@ -95,6 +96,8 @@ pub struct Outcome {
     /// What resampling did to the samples that came; absent if nothing was resampled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resampling: Option<Resampling>,
+    /// Surveys that say other things of the ground that the files cover, beyond the stated accuracies.
+    pub contradictions: Vec<Contradiction>,
     pub warnings: Vec<String>,
 }
 

@@ -265,6 +265,7 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
         r.problem(format!("precedence {} does not follow from the policy", entry.geometry.precedence), &name);
     }
     let input = Input {
+        kind: s.kind(),
         declaration: head.declaration.clone(),
         tiles,
         before: None,

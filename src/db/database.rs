@@ -10,6 +10,7 @@ use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::LatticeUnit;
+use crate::height::patch::Kind;
 use crate::store::catalog::{Catalog, Contents, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
 use crate::store::lock::Lease;
@@ -53,6 +54,8 @@ impl Policy {
 pub struct Options {
     pub crs: Crs,
     pub policy: Policy,
+    /// What lies between vertices.
+    pub patch: Kind,
 }
 
 /// Opens the catalog of a database directory: for writing (`true`) or reading.
@@ -66,11 +69,13 @@ pub struct Db {
     format: u32,
     crs: Crs,
     policy: Policy,
+    kind: Kind,
     unit: LatticeUnit,
 }
 
-/// The constants that every database of this format has; a database with others is of another program.
-pub(super) fn constants_known() -> BTreeMap<&'static str, String> {
+/// The constants that every database of this format and kind of patches has; a database with others is of another
+/// program.
+pub(super) fn constants(kind: Kind) -> BTreeMap<&'static str, String> {
     use crate::height::{lod, surface};
     use crate::store::quadtree;
     [
@@ -82,8 +87,8 @@ pub(super) fn constants_known() -> BTreeMap<&'static str, String> {
         ("kappa", surface::KAPPA.to_string()),
         ("kernel", lod::KERNEL.to_string()),
         ("margin", lod::MARGIN.to_string()),
-        ("patch", "bilinear".to_string()),
-        ("weight", "hat, unit volume".to_string()),
+        ("patch", kind.name().to_string()),
+        ("weight", kind.weight_name().to_string()),
         ("sharding", "0".to_string()),
     ]
     .into()
@@ -166,7 +171,7 @@ impl Db {
         }
         let unit = LatticeUnit::for_crs(&options.crs);
         let mut constants: BTreeMap<String, String> =
-            constants_known().into_iter().map(|(k, v)| (k.to_string(), v)).collect();
+            constants(options.patch).into_iter().map(|(k, v)| (k.to_string(), v)).collect();
         constants.insert(IDENTITY.into(), new_identity());
         constants.insert("crs".into(), options.crs.code.clone());
         constants.insert("crs_unit".into(), options.crs.unit.to_string());
@@ -236,8 +241,16 @@ impl Db {
                 "use a newer terraquilt",
             ));
         }
-        let known = constants_known();
-        let fixed = ["kernel", "margin", "patch", "weight", "kappa", "tree_capacity", "tree_depth_max"];
+        let kind = Kind::parse(get("patch")?).ok_or_else(|| {
+            let known = Kind::ALL.map(|k| format!("'{}'", k.name())).join(" and ");
+            Error::unsupported(
+                root.display(),
+                format!("constant patch is '{}', this program knows {known}", constants["patch"]),
+                "use a newer terraquilt",
+            )
+        })?;
+        let known = self::constants(kind);
+        let fixed = ["kernel", "margin", "weight", "kappa", "tree_capacity", "tree_depth_max"];
         for name in fixed.into_iter().chain(["sharding", "world_half_log2", "derivation_version"]) {
             let known = &known[name];
             let found = get(name)?;
@@ -276,6 +289,7 @@ impl Db {
             format,
             crs: Crs { code: get("crs")?.clone(), unit },
             policy,
+            kind,
             unit: LatticeUnit { exponent },
         })
     }
@@ -292,6 +306,10 @@ impl Db {
     }
     pub fn policy(&self) -> Policy {
         self.policy
+    }
+    /// What lies between vertices.
+    pub fn kind(&self) -> Kind {
+        self.kind
     }
     pub fn unit(&self) -> LatticeUnit {
         self.unit
@@ -322,7 +340,8 @@ impl Db {
             unit: self.unit,
             crs: self.crs.clone(),
             policy: self.policy,
-            _lease: lease,
+            kind: self.kind,
+            _lease: lease.map(Arc::new),
         })
     }
 
@@ -376,7 +395,8 @@ pub struct Snapshot {
     pub(super) unit: LatticeUnit,
     pub(super) crs: Crs,
     pub(super) policy: Policy,
-    _lease: Option<Lease>,
+    kind: Kind,
+    _lease: Option<Arc<Lease>>,
 }
 
 impl Snapshot {
@@ -395,6 +415,22 @@ impl Snapshot {
     }
     pub fn policy(&self) -> Policy {
         self.policy
+    }
+    /// What lies between vertices.
+    pub fn kind(&self) -> Kind {
+        self.kind
+    }
+    /// The same version seen through other tables.
+    pub(super) fn seen_as(&self, view: View) -> Snapshot {
+        Snapshot {
+            view,
+            version: self.version.clone(),
+            unit: self.unit,
+            crs: self.crs.clone(),
+            policy: self.policy,
+            kind: self.kind,
+            _lease: self._lease.clone(),
+        }
     }
     /// A survey by name or id prefix.
     pub fn survey(&self, name: &str) -> Result<&super::root::SurveyEntry> {

@@ -6,7 +6,7 @@ use crate::base::{Error, Result};
 use crate::height::block::{BLOCK, Heights, RawBlock, decode};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Place, SIDE};
-use crate::height::patch::Vertices;
+use crate::height::patch::{Kind, Vertices, bicubic};
 use crate::height::source::SampleType;
 use crate::store::segment::{PageRef, Pages, file_name};
 use quick_cache::Weighter;
@@ -48,6 +48,16 @@ enum Layer {
 
 /// Level by which blocks of delivered samples are told apart in the cache from those that were resampled from them.
 const DELIVERED: u8 = u8::MAX;
+
+/// What is read where there is no sample.
+#[derive(Clone, Copy, PartialEq)]
+enum Voids {
+    /// The fill; 0 where there is none.
+    AsStored,
+    /// NaN where there is no fill (which is stored as 0, so a fill of 0 counts as none); else the fill.
+    OpenAsNan,
+    AllAsNan,
+}
 
 /// The samples of one survey. Where it was delivered in another system, its posts are resampled ones: they are found like
 /// the levels above them, and the tiles hold what they were made of.
@@ -158,13 +168,26 @@ impl SampleReader<'_> {
         Ok(h)
     }
 
-    /// The 33 x 33 vertices of a patch.
-    pub fn vertices(&self, place: Place) -> Result<Box<Vertices>> {
+    /// The 33 x 33 vertices of a patch. A bicubic one has no open vertices: those that are void and have no fill are
+    /// given what the others of the patch suggest.
+    pub fn vertices(&self, kind: Kind, place: Place) -> Result<Box<Vertices>> {
         let mut z: Box<Vertices> =
             vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
         let d = place.domain();
         let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
-        self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], false)?;
+        match kind {
+            Kind::Bilinear => {
+                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?
+            }
+            Kind::Bicubic => {
+                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
+                let mut open = [false; SIDE * SIDE];
+                for (z, open) in z.iter_mut().zip(&mut open).filter(|(z, _)| z.is_nan()) {
+                    (*z, *open) = (0.0, true);
+                }
+                bicubic::extend(&mut z, &mut open);
+            }
+        }
         Ok(z)
     }
 
@@ -181,14 +204,14 @@ impl SampleReader<'_> {
     fn rectangle(&self, layer: Layer, r: &CellRect) -> Result<Vec<f64>> {
         let (cols, rows) = (r.width() as usize, r.height() as usize);
         let mut z = vec![0.0; cols * rows];
-        self.copy(layer, r.i0, r.j0, cols, rows, &mut z, true)?;
+        self.copy(layer, r.i0, r.j0, cols, rows, &mut z, Voids::AllAsNan)?;
         Ok(z)
     }
 
     /// One row of vertices of a level.
     pub fn line(&self, level: u8, i0: i64, j: i64, out: &mut [f64]) -> Result<()> {
         let n = out.len();
-        self.copy(Layer::Level(level), i0, j, n, 1, out, false)
+        self.copy(Layer::Level(level), i0, j, n, 1, out, Voids::AsStored)
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -200,7 +223,7 @@ impl SampleReader<'_> {
         cols: usize,
         rows: usize,
         out: &mut [f64],
-        nan: bool,
+        voids: Voids,
     ) -> Result<()> {
         let (i1, j1) = (i0 + cols as i64, j0 + rows as i64);
         for bj in j0.div_euclid(BLOCK)..=(j1 - 1).div_euclid(BLOCK) {
@@ -213,9 +236,11 @@ impl SampleReader<'_> {
                     let from = &block.z[b * N + a0..b * N + a1];
                     let at = (j - j0) as usize * cols + (ci + a0 as i64 - i0) as usize;
                     out[at..at + from.len()].copy_from_slice(from);
-                    if nan && let Some(v) = &block.valid {
+                    if voids != Voids::AsStored
+                        && let Some(v) = &block.valid
+                    {
                         for (o, v) in out[at..at + from.len()].iter_mut().zip(&v[b * N + a0..b * N + a1]) {
-                            if *v == 0 {
+                            if *v == 0 && (voids == Voids::AllAsNan || *o == 0.0) {
                                 *o = f64::NAN;
                             }
                         }

@@ -135,6 +135,12 @@ impl SegmentWriter {
         Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
     }
 
+    /// A segment that lives in memory and is never on a disk.
+    pub fn in_memory(number: u32, kind: SegmentKind) -> Result<SegmentWriter> {
+        let file: Box<dyn Growing> = Box::new(InMemory(header(kind, number)));
+        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
+    }
+
     pub fn number(&self) -> u32 {
         self.number
     }
@@ -166,6 +172,26 @@ impl SegmentWriter {
         disk.rename(&temporary_name(self.number), &file_name(self.number))?;
         disk.sync_names()?;
         Ok(self.offset)
+    }
+}
+
+/// The bytes of a file that is on no disk.
+struct InMemory(Vec<u8>);
+
+impl Growing for InMemory {
+    fn append(&mut self, bytes: &[u8]) -> Result<()> {
+        self.0.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn read_at(&self, offset: u64, buffer: &mut [u8]) -> Result<()> {
+        let from = offset as usize;
+        buffer.copy_from_slice(&self.0[from..from + buffer.len()]);
+        Ok(())
+    }
+
+    fn sync(&mut self) -> Result<()> {
+        Ok(())
     }
 }
 
@@ -206,6 +232,16 @@ pub struct Files {
 impl Files {
     pub fn new(disk: Arc<dyn Disk>, lengths: impl IntoIterator<Item = (u32, u64)>) -> Files {
         Files { disk, files: lengths.into_iter().map(|(n, l)| (n, (l, OnceLock::new()))).collect() }
+    }
+
+    /// The same files and what was written beside them, held in memory.
+    pub fn with(&self, segment: SegmentWriter) -> Result<Files> {
+        let mut bytes = vec![0; segment.offset as usize];
+        segment.file.lock().expect("no thread panicked while holding the file").read_at(0, &mut bytes)?;
+        let finished: Finished = Arc::new(bytes);
+        let mut files = Files::new(self.disk.clone(), self.lengths());
+        files.files.insert(segment.number, (segment.offset, OnceLock::from(finished)));
+        Ok(files)
     }
 
     /// Numbers and lengths, ascending.

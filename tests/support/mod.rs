@@ -10,6 +10,7 @@ use terraquilt::base::Result;
 use terraquilt::base::date::Date;
 use terraquilt::db::{Change, Db, Ingest, Options, Outcome, Policy, Progress};
 use terraquilt::height::crs::Crs;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::{Affine, HeightSource, SampleType, Samples, SourceInfo, Window};
 
 /// A small generator (xorshift64*): seeds are printed and can be passed back with TERRAQUILT_SEED.
@@ -99,10 +100,10 @@ impl Grid {
                 nodata: Some(f64::NAN),
                 scale: 1.0,
                 offset: 0.0,
-                accuracy_m: None,
-                product: None,
                 vertical_datum: None,
                 vertical_unit_m: None,
+                accuracy_m: None,
+                product: None,
                 notes: Vec::new(),
             },
             z: self.z.clone(),
@@ -228,8 +229,12 @@ pub struct Scratch {
 
 impl Scratch {
     pub fn new(policy: Policy) -> Scratch {
+        Scratch::of(policy, Kind::Bilinear)
+    }
+    /// With patches of a kind.
+    pub fn of(policy: Policy, patch: Kind) -> Scratch {
         let folder = tempfile::tempdir().unwrap();
-        let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy };
+        let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy, patch };
         let db = Db::create(&folder.path().join("db"), &options).unwrap();
         Scratch { db, folder }
     }
