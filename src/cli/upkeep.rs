@@ -41,7 +41,7 @@ fn counted(n: usize, what: &str) -> String {
 /// Make a second directory with the same versions, or bring one up to date, while others read and write
 #[derive(Args)]
 #[command(
-    after_help = "Examples:\n  terraquilt backup hills /mnt/other/hills\n  terraquilt backup hills /mnt/other/hills --at 12\nRun again, it copies only files that are missing there. The backup is a database: to restore is to open it, or to\ncopy its directory back. Every page is compared with its checksum; damage is an error that names file and place.\nVersions that were pruned here leave the backup, too."
+    after_help = "Examples:\n  terraquilt backup hills /mnt/other/hills\n  terraquilt backup hills /mnt/other/hills --at 12\nRun again, it copies only files that are missing there. The backup is a database: to restore is to open it, or to\ncopy its directory back. Every page is compared with its checksum; damage is an error that names file and place.\nVersions that were pruned here leave the backup, too; so do all others with --at."
 )]
 pub struct Backup {
     /// Directory of the database

@@ -243,8 +243,8 @@ impl Destination {
         Ok(())
     }
 
-    /// Refuses a database that is no earlier state of this one: constants and every version that both know must be
-    /// equal, and it must not have been changed since it was a backup.
+    /// Refuses a database that is no earlier backup of this one: it must be marked as a backup and not have been changed
+    /// since; constants and every version that both know must be equal.
     fn refuse_another(&self, ours: &dyn Catalog, contents: &Contents) -> Result<()> {
         if !self.existed {
             return Ok(());
@@ -263,11 +263,14 @@ impl Destination {
         if last > newest {
             return other(format!("holds version {last}, this one ends with {newest}"));
         }
-        let made_at = theirs.backup()?;
-        if let Some(made_at) = made_at.filter(|v| *v != last) {
-            return other(format!("was a backup up to version {made_at} and holds version {last} now"));
+        match theirs.backup()? {
+            Some(made_at) if made_at == last => {}
+            Some(made_at) => {
+                return other(format!("was a backup up to version {made_at} and holds version {last} now"));
+            }
+            None => return other("is a database, and was not made by `terraquilt backup`".into()),
         }
-        let mut shared = versions.is_empty() || (made_at.is_some() && a.contains_key(IDENTITY));
+        let mut shared = versions.is_empty() || a.contains_key(IDENTITY);
         for v in &versions {
             if let Some(w) = ours.version(v.number)? {
                 if w != *v {

@@ -49,7 +49,7 @@ pub fn rebuild_on(root: &Path, disk: Arc<dyn Disk>, waiting: &mut dyn FnMut()) -
         Ok(n) => {
             return Err(Error::invalid(
                 root.display(),
-                format!("its catalog is well ({n} versions); there is nothing to rebuild"),
+                format!("its catalog is well (versions: {n}); there is nothing to rebuild"),
             ));
         }
         // It is not damaged, but of a newer program.
