@@ -22,7 +22,7 @@ mod eval;
 mod hood;
 mod real;
 
-pub use eval::{Blend, Evaluation, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
+pub use eval::{Blend, Evaluation, Hessian, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
 pub use hood::{Hood, outside};
 pub use real::{Dual, Jet, Real};
 

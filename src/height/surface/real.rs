@@ -25,6 +25,7 @@ pub trait Real:
         self * Self::constant(k)
     }
     /// A patch at (a, b), which are linear in x and y.
+    #[inline(always)]
     fn of_patch(patch: Local, a: Self, b: Self) -> Self {
         let (ga, gb) = (a.gradient(), b.gradient());
         let ([s, t], [ss, st, tt]) = (patch.first, patch.second);
