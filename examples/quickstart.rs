@@ -23,8 +23,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             accuracy_m: Some(accuracy_m),
             date: Some(Date::parse(date)?),
             precedence: None,
-            vertical_unit_m: 1.0,
-            assume_crs: false,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: Default::default(),
+            step: None,
             lattice: None,
         };
         let progress = Progress { report: &quiet, stop: &stop };

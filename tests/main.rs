@@ -11,6 +11,8 @@ mod bicubic;
 mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
 mod crash;
+/// Coordinates: values of PROJ, datum shifts that have to be chosen, heights over geoids.
+mod crs;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
 /// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
@@ -31,3 +33,5 @@ mod oracle;
 mod order;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
+/// Surveys delivered in another system than the database's: their posts, their tiles, what is refused.
+mod resampled;

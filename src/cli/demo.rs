@@ -73,8 +73,11 @@ fn ingest(db: &Db, folder: &Path, b: &Bundled) -> Result<db::Outcome> {
         accuracy_m: Some(b.accuracy_m),
         date: Some(Date::parse(b.date)?),
         precedence: None,
-        vertical_unit_m: 1.0,
-        assume_crs: false,
+        vertical_unit_m: None,
+        vertical_datum: None,
+        crs: None,
+        datum: Default::default(),
+        step: None,
         lattice: None,
     };
     carry_out(db, Change::Ingest(request), None, false)

@@ -4,11 +4,13 @@ use super::args::{Region, Source, ToleranceArgs, numbers};
 use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::shading::Raster;
 use crate::base::{Error, Result};
+use crate::db::Delivered;
 use crate::db::query::Query;
 use crate::db::{self, Snapshot};
 use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use crate::format::gltf::{GlbMesh, write_glb};
 use crate::format::relief::{Relief, write_relief};
+use crate::height::crs::Crs;
 use crate::height::source::{Affine, SampleType};
 use clap::Args;
 use serde_json::{Map, json};
@@ -363,17 +365,17 @@ fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<(
     };
     let raw = db::read_tile(s, entry.number, index)?;
     let nodata = raw.tile.nodata.map(|v| if v.is_nan() { "nan".to_string() } else { format!("{v}") });
+    let Delivered { sample_type, scale, offset } = raw.declaration.delivered();
     let spec = GeoTiffSpec {
         cols: raw.cols() as u64,
         rows: raw.rows() as u64,
-        sample_type: raw.declaration.sample_type,
+        sample_type,
         affine: Some(raw.tile.affine),
-        crs: Some(s.crs().clone()),
+        crs: Some(Crs::parse(raw.declaration.delivered_crs())?),
         nodata,
-        scale: raw.declaration.scale,
-        offset: raw.declaration.offset,
+        scale,
+        offset,
     };
-    let sample_type = raw.declaration.sample_type;
     let mut masked = 0;
     write_whole(path, |p| {
         let mut out = GeoTiffWriter::create(p, spec)?;

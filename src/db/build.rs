@@ -7,6 +7,7 @@ use super::change::Progress;
 use super::errors::errors;
 use super::head::{Declaration, Head, Tile};
 use super::reader::{BlockCache, SampleReader};
+use super::resample::{Resampling, warp_of};
 use super::tile::{Directory, blocks_of};
 use crate::base::{Error, Result, limits};
 use crate::height::block::{BLOCK, RawBlock, encode};
@@ -35,6 +36,8 @@ pub struct Built {
     pub changed: Vec<(Place, Option<PatchEntry>, Option<PatchEntry>)>,
     /// Pages of the previous state that are dead now.
     pub dead: Vec<PageRef>,
+    /// What resampling did to the samples that changed, if the survey is resampled and it was asked for.
+    pub resampling: Option<Resampling>,
 }
 
 /// What is built from.
@@ -45,8 +48,10 @@ pub struct Input<'a> {
     /// Descending by key.
     pub tiles: Vec<(Tile, Arc<Directory>)>,
     pub before: Option<Before<'a>>,
-    /// Posts whose sample may have changed; everything if there is no state before.
+    /// Delivered posts whose sample may have changed; everything if there is no state before.
     pub dirty: CellRect,
+    /// Compare the posts of a resampled survey with the samples they were made of.
+    pub compare: bool,
     pub cache: &'a BlockCache,
     pub stamp: u64,
 }
@@ -58,8 +63,18 @@ pub fn build(
     out: &mut SegmentWriter,
     progress: &Progress,
 ) -> Result<Built> {
-    let extent =
-        input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts)).union(&input.dirty);
+    let warp = warp_of(&input.declaration)?;
+    let own = |posts: &CellRect| match &warp {
+        None => Ok(*posts),
+        Some(_) if posts.is_empty() => Ok(*posts),
+        Some(w) => w.target_rect(posts, &input.declaration.name),
+    };
+    let mut posts = CellRect::new(0, 0, 0, 0);
+    for (t, _) in &input.tiles {
+        posts = posts.union(&own(&t.posts)?);
+    }
+    let dirty = own(&input.dirty)?;
+    let extent = posts.union(&dirty);
     let span = extent.width() as u64 * extent.height() as u64;
     if span > limits::EXTENT_POSTS_MAX {
         return Err(Error::limit(
@@ -71,7 +86,13 @@ pub fn build(
             span,
         ));
     }
-    let mut b = Builder { input, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
+    let delivered = input.dirty;
+    let compare = input.compare;
+    let mut b =
+        Builder { input, posts, dirty, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
+    if let Some(w) = &warp {
+        b.resample(w, base, out, progress)?;
+    }
     b.core(base, out)?;
     let core = b.core_rect()?;
     let level_max = level_max(&core)?;
@@ -81,7 +102,13 @@ pub fn build(
         progress.step("levels", f64::from(level) / f64::from(level_max))?;
     }
     b.facts(level_max, base, out, progress)?;
-    b.finish(level_max, core, out)
+    let resampling = match &warp {
+        Some(w) if compare => Some(b.compare(w, &delivered, base, out, progress)?),
+        _ => None,
+    };
+    let mut built = b.finish(level_max, core, out)?;
+    built.resampling = resampling;
+    Ok(built)
 }
 
 /// The least level at which the core needs at most 2 x 2 patches.
@@ -94,8 +121,11 @@ fn level_max(core: &CellRect) -> Result<u8> {
         .ok_or_else(|| Error::limit("levels of a survey", u64::from(LEVEL_MAX), u64::from(LEVEL_MAX) + 1))
 }
 
-struct Builder<'a> {
+pub(super) struct Builder<'a> {
     input: Input<'a>,
+    /// The rectangle of posts that tiles span, and those that may have changed.
+    posts: CellRect,
+    pub(super) dirty: CellRect,
     /// Pages that change, as they will be.
     pages: BTreeMap<PageAddress, PatchPage>,
     /// New sample blocks of levels above 0.
@@ -115,7 +145,7 @@ impl Builder<'_> {
         Ok(self.before_page(PageAddress::of_place(place))?.and_then(|p| p.patches[slot(place)]))
     }
 
-    fn edit(&mut self, at: PageAddress) -> Result<&mut PatchPage> {
+    pub(super) fn edit(&mut self, at: PageAddress) -> Result<&mut PatchPage> {
         if !self.pages.contains_key(&at) {
             let page = self.before_page(at)?.map_or_else(PatchPage::default, |p| (*p).clone());
             self.pages.insert(at, page);
@@ -141,11 +171,16 @@ impl Builder<'_> {
         self.level_before().is_none_or(|l| level > l)
     }
 
-    fn posts(&self) -> CellRect {
-        self.input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts))
+    /// Whether a page is there or will be.
+    pub(super) fn knows(&self, at: PageAddress) -> Result<bool> {
+        Ok(self.pages.contains_key(&at) || self.before_page(at)?.is_some())
     }
 
-    fn with_reader<R>(
+    pub(super) fn set_block(&mut self, level: u8, bi: i64, bj: i64, at: Option<PageRef>) {
+        self.blocks.insert((level, bi, bj), at);
+    }
+
+    pub(super) fn with_reader<R>(
         &self,
         base: &crate::store::segment::Files,
         out: &SegmentWriter,
@@ -172,7 +207,7 @@ impl Builder<'_> {
 
     /// Level-0 core cells of the places whose cells may have changed.
     fn core(&mut self, base: &crate::store::segment::Files, out: &SegmentWriter) -> Result<()> {
-        let d = self.input.dirty;
+        let d = self.dirty;
         // A cell is core by the 4 x 4 posts around it.
         let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
         let range = places_meeting(0, &cells);
@@ -305,8 +340,8 @@ impl Builder<'_> {
         out: &mut SegmentWriter,
         progress: &Progress,
     ) -> Result<()> {
-        let all = self.posts();
-        let posts = if self.is_new(level) { all } else { self.input.dirty };
+        let all = self.posts;
+        let posts = if self.is_new(level) { all } else { self.dirty };
         let blocks = blocks_of(&Self::vertices_near(&posts, level));
         for bj in blocks.j0..blocks.j1 {
             progress.check()?;
@@ -325,7 +360,7 @@ impl Builder<'_> {
             self.blocks.iter().filter(|(k, _)| k.0 == level).map(|(k, v)| (*k, *v)).collect();
         for ((_, bi, bj), at) in new {
             let address = PageAddress::of_block(level, bi, bj);
-            if at.is_some() || self.pages.contains_key(&address) || self.before_page(address)?.is_some() {
+            if at.is_some() || self.knows(address)? {
                 self.edit(address)?.blocks[block_slot(bi, bj)] = at;
             }
         }
@@ -334,7 +369,7 @@ impl Builder<'_> {
 
     /// Places of a level whose payload or error may have changed.
     fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
-        let d = if self.is_new(level) { *all } else { self.input.dirty };
+        let d = if self.is_new(level) { *all } else { self.dirty };
         let r = if level == 0 { 0 } else { 1i64 << level };
         places_touching_posts(level, d.i0 - r, d.j0 - r, d.i1 - 1 + r, d.j1 - 1 + r)
     }
@@ -347,7 +382,7 @@ impl Builder<'_> {
         out: &SegmentWriter,
         progress: &Progress,
     ) -> Result<()> {
-        let all = self.posts();
+        let all = self.posts;
         let ranges: Vec<CellRect> = (0..=level_max).map(|l| self.dirty_places(l, &all)).collect();
         let kind = self.input.kind;
         let deltas = self.with_reader(base, out, |reader| {
@@ -438,7 +473,7 @@ impl Builder<'_> {
             patches,
             pages: list.into_iter().collect(),
         };
-        Ok(Built { head, pages, changed: self.changed, dead })
+        Ok(Built { head, pages, changed: self.changed, dead, resampling: None })
     }
 }
 
@@ -456,7 +491,7 @@ fn decimate(reader: &SampleReader, level: u8, bi: i64, bj: i64, all: &CellRect) 
     for q in 0..4usize {
         let (ci, cj) = (2 * bi + (q as i64 & 1), 2 * bj + (q as i64 >> 1));
         let raws = if level == 1 {
-            if reader.valid_at_most(ci, cj) == 0 { Vec::new() } else { reader.tile_blocks(ci, cj)? }
+            reader.post_blocks(ci, cj)?
         } else {
             match (reader.levels)(level - 1, ci, cj)? {
                 Some(at) => vec![reader.raw(&at)?],
@@ -533,9 +568,13 @@ fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Res
         return Ok(None);
     }
     let blocks = blocks_of(&window);
-    let some =
-        (blocks.j0..blocks.j1).any(|bj| (blocks.i0..blocks.i1).any(|bi| reader.valid_at_most(bi, bj) > 0));
-    if !some {
+    let mut all_void = true;
+    for bj in blocks.j0..blocks.j1 {
+        for bi in blocks.i0..blocks.i1 {
+            all_void = all_void && reader.is_void(bi, bj)?;
+        }
+    }
+    if all_void {
         return Ok(None);
     }
     let (mut sum, mut n) = (0.0f64, 0u64);

@@ -246,6 +246,7 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
         tiles,
         before: None,
         dirty: head.posts(),
+        compare: false,
         cache: &cache,
         stamp: 0,
     };

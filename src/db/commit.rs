@@ -39,7 +39,10 @@ pub(super) struct Retiled {
     pub before: Option<Arc<Head>>,
     pub declaration: Declaration,
     pub tiles: Vec<Tile>,
+    /// Delivered posts that may have changed.
     pub dirty: CellRect,
+    /// Whether to compare resampled posts with the samples that came.
+    pub compare: bool,
     /// Pages of tiles that left.
     pub dead: Vec<PageRef>,
     pub segment: SegmentWriter,
@@ -67,6 +70,7 @@ impl Writing {
         }
         let mut survey_segment = None;
         let mut rebuilt = None;
+        let mut resampling = None;
         let mut subject = gone.iter().chain(&attributes).next().map(|e| e.number);
         if let Some(r) = retiled {
             let (date, precedence, since) = (r.date, r.precedence, r.since);
@@ -95,11 +99,13 @@ impl Writing {
                 tiles,
                 before: r.before.as_ref().map(|h| Before { head: h, page: &page }),
                 dirty: r.dirty,
+                compare: r.compare,
                 cache: &cache,
                 stamp: 0,
             };
-            let Built { head, pages, changed, dead: built_dead } =
+            let Built { head, pages, changed, dead: built_dead, resampling: found } =
                 build(input, &view.files, &mut segment, progress)?;
+            resampling = found;
             let precedence_rank = db.policy().precedence(date, precedence);
             let geometry = head.geometry(precedence_rank);
             check_world(&geometry, &head.declaration.name)?;
@@ -189,6 +195,7 @@ impl Writing {
             records_come: come_count,
             bytes_written: written,
             warnings,
+            resampling,
             version: self.counters.version + 1,
             ..Outcome::default()
         };

@@ -48,6 +48,7 @@ impl Writing {
                     declaration: head.declaration.clone(),
                     tiles: head.tiles.iter().filter(|k| k.key != t.key).cloned().collect(),
                     dirty: t.posts,
+                    compare: false,
                     dead: self.tile_pages(&t)?,
                     segment,
                     date: e.date,

@@ -80,6 +80,8 @@ impl Hgt {
             offset: 0.0,
             accuracy_m: Some(ACCURACY_M),
             product: Some("SRTM"),
+            vertical_datum: None,
+            vertical_unit_m: None,
             notes: Vec::new(),
         };
         Ok(Hgt { info, bytes, voids: Voids::new(SampleType::I16, Some(VOID)) })

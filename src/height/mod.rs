@@ -11,5 +11,6 @@ pub mod crs;
 pub mod frame;
 pub mod lod;
 pub mod patch;
+pub mod resample;
 pub mod source;
 pub mod surface;

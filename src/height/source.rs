@@ -130,6 +130,8 @@ pub struct SourceInfo {
     pub accuracy_m: Option<f64>,
     /// Name of that product, for messages.
     pub product: Option<&'static str>,
+    pub vertical_datum: Option<String>,
+    pub vertical_unit_m: Option<f64>,
     /// Things a user should know (several bands: the first is read; CRS taken from ...).
     pub notes: Vec<String>,
 }

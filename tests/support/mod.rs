@@ -80,6 +80,11 @@ impl Grid {
     }
 
     pub fn source(&self) -> Box<dyn HeightSource> {
+        self.source_in("EPSG:32610")
+    }
+
+    /// The same file, said to be in another system.
+    pub fn source_in(&self, crs: &str) -> Box<dyn HeightSource> {
         Box::new(GridSource {
             info: SourceInfo {
                 file: format!("{}-{}-{}.mem", self.name, self.affine.origin[0], self.affine.origin[1]),
@@ -88,12 +93,14 @@ impl Grid {
                 rows: self.rows as u64,
                 sample_type: SampleType::F32,
                 affine: Some(self.affine),
-                crs: Some(Crs::from_epsg(32610).unwrap()),
+                crs: Some(Crs::parse(crs).unwrap()),
                 nodata: Some(f64::NAN),
                 scale: 1.0,
                 offset: 0.0,
                 accuracy_m: None,
                 product: None,
+                vertical_datum: None,
+                vertical_unit_m: None,
                 notes: Vec::new(),
             },
             z: self.z.clone(),
@@ -113,8 +120,11 @@ impl Grid {
             accuracy_m: Some(self.accuracy),
             date: self.date,
             precedence: self.precedence,
-            vertical_unit_m: 1.0,
-            assume_crs: false,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: Default::default(),
+            step: None,
             lattice: None,
         }
     }

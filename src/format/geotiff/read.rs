@@ -147,6 +147,8 @@ impl GeoTiff {
             offset: band.offset,
             accuracy_m: None,
             product: None,
+            vertical_datum: None,
+            vertical_unit_m: None,
             notes,
         };
         Ok(GeoTiff { info, tiff, blocks, mask, voids, missing })
