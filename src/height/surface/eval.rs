@@ -237,7 +237,7 @@ impl Sheet<'_> {
                 "make a database with `terraquilt init DB --patch bicubic` and ingest the surveys there",
             ));
         }
-        self.each(points, |s, p| self.evaluate::<Jet>(p, s, None))
+        self.each(points, |s, p| Ok(self.evaluate::<Jet>(p, s, None)?.map(|(e, f)| (e, f.hessian()))))
     }
 
     /// A height and who contributed to it: patch number and normalised weight, largest first.
@@ -295,12 +295,13 @@ impl Sheet<'_> {
         }
     }
 
+    /// What the surface is at a point, and its height (above the first patch's) with the derivatives that `T` carries.
     fn evaluate<T: Real>(
         &self,
         point: [f64; 2],
         s: &mut Scratch,
         mut who: Option<&mut Vec<(usize, f64)>>,
-    ) -> Result<Option<(Evaluation, Hessian)>> {
+    ) -> Result<Option<(Evaluation, T)>> {
         let surface = self.surface;
         let p = [point[0] - surface.origin[0], point[1] - surface.origin[1]];
         let near = surface.index.at(p);
@@ -401,7 +402,7 @@ impl Sheet<'_> {
             correction_m: 0.0,
             contradiction: false,
         };
-        Ok(Some((evaluation, f.hessian())))
+        Ok(Some((evaluation, f)))
     }
 
     /// up' dn: how much of a patch is there at a tolerance.
