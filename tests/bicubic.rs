@@ -27,9 +27,9 @@ fn helens_grid(date: &str, accuracy: f64) -> Grid {
     let samples = source.read(Window { col: 0, row: 0, cols, rows }).unwrap();
     let each = samples.data.chunks_exact(info.sample_type.bytes()).zip(&samples.valid);
     let z = each.map(|(b, ok)| if *ok == 1 { info.sample_type.value(b) as f32 } else { f32::NAN }).collect();
-    let date = Some(Date::parse(date).unwrap());
     let affine = info.affine.unwrap();
-    Grid { name: date.unwrap().to_string(), cols, rows, z, affine, accuracy, precedence: None, date }
+    let name = date.to_string();
+    Grid { name, cols, rows, z, affine, accuracy, precedence: None, date: Some(Date::parse(date).unwrap()) }
 }
 
 /// The crater of 2000 at 10 m under two domes of 2004 at 2 m.
