@@ -27,9 +27,9 @@ fn helens_grid(date: &str, accuracy: f64) -> Grid {
     let samples = source.read(Window { col: 0, row: 0, cols, rows }).unwrap();
     let each = samples.data.chunks_exact(info.sample_type.bytes()).zip(&samples.valid);
     let z = each.map(|(b, ok)| if *ok == 1 { info.sample_type.value(b) as f32 } else { f32::NAN }).collect();
-    let date = Some(Date::parse(date).unwrap());
     let affine = info.affine.unwrap();
-    Grid { name: date.unwrap().to_string(), cols, rows, z, affine, accuracy, precedence: None, date }
+    let name = date.to_string();
+    Grid { name, cols, rows, z, affine, accuracy, precedence: None, date: Some(Date::parse(date).unwrap()) }
 }
 
 /// The crater of 2000 at 10 m under two domes of 2004 at 2 m.
@@ -193,7 +193,7 @@ fn curvature_inside_one_patch_is_that_of_its_spline() {
             let found = ground.curvatures(&points).unwrap();
             let (plain, slopes) = (ground.heights(&points).unwrap(), ground.slopes(&points).unwrap());
             for (n, (p, e)) in points.iter().zip(&found).enumerate() {
-                let e = e.as_ref().unwrap();
+                let (e, hessian) = e.as_ref().unwrap();
                 // One formula: the same bits of the height and the slope.
                 assert_eq!(e.z.to_bits(), plain[n].as_ref().unwrap().z.to_bits());
                 assert_eq!(e.gradient, slopes[n].as_ref().unwrap().gradient);
@@ -224,7 +224,7 @@ fn curvature_inside_one_patch_is_that_of_its_spline() {
                 let step = survey.posts.nominal_step[0] * patch.stride as f64;
                 let [xx, xy, yy] = second.map(|d| d / (step * step));
                 let sign = if survey.posts.v[1] < 0 { -1.0 } else { 1.0 };
-                for (found, truth) in e.hessian.iter().zip([xx, sign * xy, yy]) {
+                for (found, truth) in hessian.iter().zip([xx, sign * xy, yy]) {
                     worst = worst.max((found - truth).abs() * step * step);
                 }
                 alone += 1;
@@ -320,7 +320,7 @@ fn apart(world: &World, ask: &Ask, lines: &[Line]) -> Vec<[f64; 3]> {
     let found = lines.iter().enumerate().map(|(k, (_, d))| {
         sides.each_ref().map(|(before, after)| {
             let (Some(a), Some(b)) = (&before[k], &after[k]) else { return f64::NAN };
-            let off = (0..3).map(|n| (a.hessian[n] - b.hessian[n]).abs()).fold(0.0, f64::max);
+            let off = (0..3).map(|n| (a.1[n] - b.1[n]).abs()).fold(0.0, f64::max);
             off * (d[0] * d[0] + d[1] * d[1])
         })
     });

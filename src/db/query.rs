@@ -13,7 +13,7 @@ use crate::height::lod::cut::{Camera, Constant, Cut, ErrorRaster, Foci, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
-    Blend, Evaluation, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
+    Blend, Evaluation, Hessian, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
 use crate::store::quadtree::{Domains, Record, walk};
 use quick_cache::sync::Cache;
@@ -464,18 +464,18 @@ struct Data<'a> {
     seams: Fields<'a>,
     surveys: Vec<SurveyNumber>,
     patches: Vec<(usize, Place)>,
-    shapes: Cache<usize, Arc<Shape>>,
+    shapes: Cache<usize, Shape>,
     hoods: Cache<(usize, i32, i32), Arc<Hood>>,
 }
 
 impl Source for Data<'_> {
-    fn shape(&self, patch: usize) -> Result<Arc<Shape>> {
+    fn shape(&self, patch: usize) -> Result<Shape> {
         if let Some(s) = self.shapes.get(&patch) {
             return Ok(s);
         }
         let (survey, place) = self.patches[patch];
         let z = self.view.with_samples(self.surveys[survey], |r| r.vertices(self.kind, place))?;
-        let shape = Arc::new(Shape::new(self.kind, z));
+        let shape = Shape::new(self.kind, z);
         self.shapes.insert(patch, shape.clone());
         Ok(shape)
     }
@@ -547,8 +547,8 @@ impl Ground<'_> {
 
     /// Heights with gradients and second derivatives, in parallel, for points of the region. Refused where patches are
     /// bilinear.
-    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        let parts: Vec<Vec<Option<Evaluation>>> =
+    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<(Evaluation, Hessian)>>> {
+        let parts: Vec<Vec<Option<(Evaluation, Hessian)>>> =
             points.par_chunks(2048).map(|c| self.sheet().curvatures(c)).collect::<Result<_>>()?;
         Ok(parts.into_iter().flatten().collect())
     }

@@ -175,12 +175,11 @@ impl SampleReader<'_> {
             vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
         let d = place.domain();
         let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
+        let layer = Layer::Level(place.level);
         match kind {
-            Kind::Bilinear => {
-                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?
-            }
+            Kind::Bilinear => self.copy(layer, i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?,
             Kind::Bicubic => {
-                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
+                self.copy(layer, i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
                 let mut open = [false; SIDE * SIDE];
                 for (z, open) in z.iter_mut().zip(&mut open).filter(|(z, _)| z.is_nan()) {
                     (*z, *open) = (0.0, true);

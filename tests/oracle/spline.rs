@@ -40,7 +40,7 @@ fn inverse(i: usize, j: usize) -> f64 {
     }
     let angle = 2f64.acosh();
     let sinh = |n: usize| (n as f64 * angle).sinh();
-    let sign = if (i + j) % 2 == 0 { 1.0 } else { -1.0 };
+    let sign = if (i + j).is_multiple_of(2) { 1.0 } else { -1.0 };
     sign * sinh(i.min(j)) * sinh(end - i.max(j)) / (sinh(1) * sinh(end))
 }
 

@@ -4,7 +4,7 @@ use super::{Local, Vertices, cell};
 use crate::height::lod::SIDE;
 
 /// At (s, t) in cells from the first vertex, `0 <= s, t <= 32`. The mixed derivative is that within the cell.
-#[inline]
+#[inline(always)]
 pub fn evaluate(z: &Vertices, s: f64, t: f64) -> Local {
     let ((a, x), (b, y)) = (cell(s), cell(t));
     let k = b * SIDE + a;

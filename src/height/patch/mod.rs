@@ -15,6 +15,7 @@ use super::lod::{PatchId, Place, SIDE};
 use crate::base::bytes::Put;
 use crate::base::round::{add_up, up_f32};
 use bicubic::Spline;
+use std::sync::Arc;
 
 /// Heights of the 33 x 33 vertices of a patch, row-major from its lowest indices, metres.
 pub type Vertices = [f64; SIDE * SIDE];
@@ -69,7 +70,8 @@ impl Kind {
     }
 }
 
-/// A patch at a point: its height and derivatives by the two index coordinates, in cells of the patch.
+/// A patch at a point. Functions that make one are always inlined: who needs the height alone does not pay for the rest.
+/// Its height and derivatives by the two index coordinates, in cells of the patch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Local {
     pub z: f64,
@@ -79,22 +81,23 @@ pub struct Local {
     pub second: [f64; 3],
 }
 
-/// A patch ready to be evaluated.
+/// A patch ready to be evaluated. A clone is the same patch, not another one in memory.
+#[derive(Clone)]
 pub enum Shape {
-    Bilinear(Box<Vertices>),
-    Bicubic(Spline),
+    Bilinear(Arc<Vertices>),
+    Bicubic(Arc<Spline>),
 }
 
 impl Shape {
     pub fn new(kind: Kind, z: Box<Vertices>) -> Shape {
         match kind {
-            Kind::Bilinear => Shape::Bilinear(z),
-            Kind::Bicubic => Shape::Bicubic(Spline::new(&z)),
+            Kind::Bilinear => Shape::Bilinear(Arc::from(z)),
+            Kind::Bicubic => Shape::Bicubic(Arc::new(Spline::new(&z))),
         }
     }
 
     /// At (s, t) in cells from the first vertex, `0 <= s, t <= 32`.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, s: f64, t: f64) -> Local {
         match self {
             Shape::Bilinear(z) => bilinear::evaluate(z, s, t),

@@ -87,7 +87,7 @@ pub struct Patch {
 /// Where heights and cells come from.
 pub trait Source: Sync {
     /// The n-th patch of the surface, ready to be evaluated.
-    fn shape(&self, patch: usize) -> Result<Arc<Shape>>;
+    fn shape(&self, patch: usize) -> Result<Shape>;
     /// Cells of core' around a level-0 block of the n-th survey.
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>>;
     /// The correction of the n-th survey over a level-0 block.
@@ -100,8 +100,6 @@ pub struct Evaluation {
     pub z: f64,
     /// Height metres per CRS unit, by x and y (0 unless asked for).
     pub gradient: [f64; 2],
-    /// Height metres per squared CRS unit, by xx, xy and yy (0 unless asked for).
-    pub hessian: [f64; 3],
     /// Largest error of the contributing patches, metres.
     pub error_m: f64,
     /// Stated accuracy of the best survey there, metres.
@@ -114,6 +112,9 @@ pub struct Evaluation {
     /// The correction comes from surveys that contradict each other: it is invented ground.
     pub contradiction: bool,
 }
+
+/// Second derivatives of the height by xx, xy and yy, metres per squared CRS unit.
+pub type Hessian = [f64; 3];
 
 /// A selected set of patches over a region, ready to be evaluated.
 pub struct Surface {
@@ -213,7 +214,7 @@ pub(super) struct Scratch {
     /// Per survey: the block met last.
     hoods: Vec<Option<MetHood>>,
     /// Patches met lately, by number modulo their count.
-    last: Vec<Option<(u32, Arc<Shape>)>>,
+    last: Vec<Option<(u32, Shape)>>,
     /// Weights and errors of the contributors at the point.
     shares: Vec<(f64, f64)>,
     /// Per survey: the block of its correction met last.
@@ -239,17 +240,17 @@ const FEW: usize = 8;
 impl Sheet<'_> {
     /// Heights at points (CRS units), in order; `None` where there is no data.
     pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        self.each(points, |s, p| self.evaluate::<f64>(p, s, None))
+        self.each(points, |s, p| Ok(self.evaluate::<f64>(p, s, None)?.map(|(e, _)| e)))
     }
 
     /// Heights with analytic gradients.
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        self.each(points, |s, p| self.evaluate::<Dual>(p, s, None))
+        self.each(points, |s, p| Ok(self.evaluate::<Dual>(p, s, None)?.map(|(e, _)| e)))
     }
 
     /// Heights with analytic gradients and second derivatives. Refused where patches are bilinear: their surface has
     /// kinks, and between them no bend of the ground.
-    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<(Evaluation, Hessian)>>> {
         if self.surface.kind == Kind::Bilinear {
             return Err(Error::unsupported(
                 "curvature",
@@ -257,13 +258,13 @@ impl Sheet<'_> {
                 "make a database with `terraquilt init DB --patch bicubic` and ingest the surveys there",
             ));
         }
-        self.each(points, |s, p| self.evaluate::<Jet>(p, s, None))
+        self.each(points, |s, p| Ok(self.evaluate::<Jet>(p, s, None)?.map(|(e, f)| (e, f.hessian()))))
     }
 
     /// A height and who contributed to it: patch number and normalised weight, largest first.
     pub fn explain(&self, p: [f64; 2]) -> Result<Option<Explained>> {
         let mut who = Vec::new();
-        let Some(e) = self.evaluate::<f64>(p, &mut Scratch::default(), Some(&mut who))? else {
+        let Some((e, _)) = self.evaluate::<f64>(p, &mut Scratch::default(), Some(&mut who))? else {
             return Ok(None);
         };
         let sum: f64 = who.iter().map(|(_, w)| w).sum();
@@ -282,11 +283,11 @@ impl Sheet<'_> {
         Ok(self.correction(survey, index, self.cut.at(p), &mut Scratch::default())?.0)
     }
 
-    fn each(
+    fn each<E>(
         &self,
         points: &[[f64; 2]],
-        mut f: impl FnMut(&mut Scratch, [f64; 2]) -> Result<Option<Evaluation>>,
-    ) -> Result<Vec<Option<Evaluation>>> {
+        mut f: impl FnMut(&mut Scratch, [f64; 2]) -> Result<Option<E>>,
+    ) -> Result<Vec<Option<E>>> {
         let mut scratch = Scratch::default();
         points.iter().map(|p| f(&mut scratch, *p)).collect()
     }
@@ -325,12 +326,13 @@ impl Sheet<'_> {
         }
     }
 
+    /// What the surface is at a point, and its height (above the first patch's) with the derivatives that `T` carries.
     fn evaluate<T: Real>(
         &self,
         point: [f64; 2],
         s: &mut Scratch,
         mut who: Option<&mut Vec<(usize, f64)>>,
-    ) -> Result<Option<Evaluation>> {
+    ) -> Result<Option<(Evaluation, T)>> {
         let surface = self.surface;
         let p = [point[0] - surface.origin[0], point[1] - surface.origin[1]];
         let near = surface.index.at(p);
@@ -429,26 +431,24 @@ impl Sheet<'_> {
                 best = best.min(survey.accuracy);
             }
         }
-        let (mut z, mut correction_m) = (zero + f.value(), 0.0);
-        let (mut gradient, mut hessian) = (f.gradient(), f.hessian());
+        let (mut z, mut f, mut correction_m) = (zero + f.value(), f, 0.0);
         if surface.corrected {
             let c = seams.sum / weights;
             let plain = z;
             z += c.value();
             correction_m = z - plain;
-            gradient = [0, 1].map(|k| gradient[k] + c.gradient()[k]);
-            hessian = [0, 1, 2].map(|k| hessian[k] + c.hessian()[k]);
+            f = f + c;
         }
-        Ok(Some(Evaluation {
+        let evaluation = Evaluation {
             z,
-            gradient,
-            hessian,
+            gradient: f.gradient(),
             error_m: error,
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
             correction_m,
             contradiction: seams.contradiction,
-        }))
+        };
+        Ok(Some((evaluation, f)))
     }
 
     /// The correction of a survey at a point of its index space, and whether contradicting surveys made it.

@@ -23,7 +23,7 @@ mod hood;
 mod real;
 pub mod seam;
 
-pub use eval::{Blend, Evaluation, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
+pub use eval::{Blend, Evaluation, Hessian, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
 pub use hood::{Hood, outside};
 pub use real::{Dual, Jet, Real};
 
