@@ -49,3 +49,21 @@ pub(super) fn shown<T: Real>(spans: &[[f32; 2]], z: T, ease: impl Fn(T) -> T) ->
     }
     if sum.value() > 1.0 { one } else { sum }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spans_join_what_touches_and_fade_beside_it() {
+        let s = spans(vec![[40.0, 50.0], [1.0, 4.0], [4.0, 9.0]], 1.0);
+        assert_eq!(s.len(), 2);
+        assert!(s[0][0] == 0.0 && s[0][1] >= 9.0 && s[1][0] <= 40.0 && s[1][1] >= 50.0);
+        let at = |z: f64| shown(&s, z, |t: f64| t.clamp(0.0, 1.0));
+        assert_eq!((at(0.0), at(9.0), at(20.0), at(45.0), at(1000.0)), (1.0, 1.0, 0.0, 1.0, 0.0));
+        let (lo, hi) = (f64::from(s[0][1]), f64::from(s[0][1]) * KAPPA);
+        assert!(at((lo + hi) / 2.0) > 0.4 && at((lo + hi) / 2.0) < 0.6 && at(hi + 1e-9) == 0.0);
+        assert_eq!(shown(&spans(vec![[3.0, f32::INFINITY]], 3.0), f64::INFINITY, |t| t), 1.0);
+        assert_eq!(shown(&spans(Vec::new(), 1.0), 0.0, |t| t), 0.0);
+    }
+}
