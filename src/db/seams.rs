@@ -16,7 +16,7 @@ use crate::height::crs::AxisUnit;
 use crate::height::frame::{CellRect, Frame, LatticeUnit};
 use crate::height::lod::cover::rects;
 use crate::height::lod::{Cells, Geometry, KERNEL, Place, SurveyNumber, World};
-use crate::height::surface::seam::{Border, Field, Piece, Spans, Spot, outline, spans};
+use crate::height::surface::seam::{BAND, Border, Field, Piece, Spans, Spot, outline, spans, union};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use std::cmp::Ordering;
@@ -285,6 +285,22 @@ impl Fields<'_> {
         })
     }
 
+    /// The tolerances at which better surveys are shown at a side of their border or behind it, as deep as the lower one
+    /// may show through. A better survey's patch on the very border may be covered by what is left of the lower one there, and
+    /// its neighbour be shown.
+    fn spans_behind(&self, above: &[SurveyNumber], g: &Frame, p: Halves, across: Point) -> Result<Spans> {
+        let step = cells_long(g, across);
+        let mut found = Vec::new();
+        for depth in [0.0, BAND[0] / 2.0, BAND[0]] {
+            let hairs = ((2.0 * depth / step * HAIR as f64).round() as i64).max(1);
+            let q = p.moved(across, -hairs, HAIR);
+            if let Some(h) = self.first_with(above, q, false)? {
+                found.push(self.spans(h, q)?);
+            }
+        }
+        Ok(union(&found))
+    }
+
     /// The pieces of a place with their reaches.
     fn reached(&self, survey: SurveyNumber, i: i32, j: i32) -> Result<Arc<Reached>> {
         let key = ((survey, i, j), self.consistent);
@@ -365,7 +381,7 @@ impl Fields<'_> {
                     ease: length / parts as f64 / 2.0,
                     gap,
                     contradicted,
-                    spans: self.spans(best, inner)?,
+                    spans: self.spans_behind(above, g, p, across)?,
                 });
             }
         }
