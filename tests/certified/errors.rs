@@ -93,8 +93,9 @@ fn certify_bent(world: &World, points: &[[f64; 2]], every: usize, total: &mut Fi
             let (Some(plain), Some(e)) = (plain, e) else { panic!("{p:?}: {plain:?} {e:?}") };
             assert_eq!((e.z - e.correction_m).to_bits(), plain.z.to_bits(), "{p:?}: {e:?} {plain:?}");
             assert_eq!((e.certified, e.accuracy_m), (plain.certified, plain.accuracy_m));
+            // What weighs a rounding error may be left out of the error, not of the sum.
             assert!(
-                plain.error_m <= e.error_m && e.correction_m.abs() <= e.error_m,
+                plain.error_m <= e.error_m && e.correction_m.abs() <= e.error_m + 1e-9,
                 "{p:?}: {e:?} {plain:?}"
             );
             if n % every == 0 {
