@@ -355,6 +355,7 @@ impl Snapshot {
                 unit: self.unit,
                 axis: self.crs.unit,
                 consistent: how.seams == Seams::Consistent,
+                smooth: false,
             },
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),

@@ -16,7 +16,7 @@ use crate::height::crs::AxisUnit;
 use crate::height::frame::{CellRect, Frame, LatticeUnit};
 use crate::height::lod::cover::rects;
 use crate::height::lod::{Cells, Geometry, KERNEL, Place, SurveyNumber, World};
-use crate::height::surface::seam::{Border, Field, Piece, Spans, Spot, outline, spans};
+use crate::height::surface::seam::{BAND, Border, Field, Piece, Spans, Spot, outline, spans, union};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use std::cmp::Ordering;
@@ -29,6 +29,8 @@ type Held = (Block0, bool);
 
 /// Bytes of fields kept.
 const FIELD_BYTES_CACHED: u64 = 64 << 20;
+/// Bytes of borders kept.
+const BORDER_BYTES_CACHED: u64 = 32 << 20;
 
 #[derive(Clone)]
 struct ByBytes;
@@ -36,6 +38,18 @@ struct ByBytes;
 impl Weighter<Held, Arc<Field>> for ByBytes {
     fn weight(&self, _: &Held, f: &Arc<Field>) -> u64 {
         f.weight()
+    }
+}
+
+impl Weighter<Held, Arc<Border>> for ByBytes {
+    fn weight(&self, _: &Held, b: &Arc<Border>) -> u64 {
+        b.weight()
+    }
+}
+
+impl Weighter<Held, Arc<Reached>> for ByBytes {
+    fn weight(&self, _: &Held, r: &Arc<Reached>) -> u64 {
+        64 + 8 * r.reaches.len() as u64
     }
 }
 
@@ -48,8 +62,8 @@ struct Reached {
 /// What was derived lately, for one version.
 pub struct SeamCache {
     fields: Cache<Held, Arc<Field>, ByBytes>,
-    reached: Cache<Held, Arc<Reached>>,
-    borders: Cache<Held, Arc<Border>>,
+    reached: Cache<Held, Arc<Reached>, ByBytes>,
+    borders: Cache<Held, Arc<Border>, ByBytes>,
     /// 29 x 29 posts of a place, voids as NaN.
     posts: Cache<Block0, Arc<Vec<f64>>>,
     cells: Cache<Block0, Block>,
@@ -60,8 +74,8 @@ impl SeamCache {
     pub fn new() -> SeamCache {
         SeamCache {
             fields: Cache::with_weighter(2048, FIELD_BYTES_CACHED, ByBytes),
-            reached: Cache::new(4096),
-            borders: Cache::new(4096),
+            reached: Cache::with_weighter(4096, BORDER_BYTES_CACHED, ByBytes),
+            borders: Cache::with_weighter(4096, BORDER_BYTES_CACHED, ByBytes),
             posts: Cache::new(4096),
             cells: Cache::new(65536),
             spans: Cache::new(65536),
@@ -108,6 +122,8 @@ pub struct Fields<'a> {
     pub axis: AxisUnit,
     /// Gaps are held to what both surveys state.
     pub consistent: bool,
+    /// Corrections are cubic B-splines between their nodes, of class C2 like the patches; else bilinear.
+    pub smooth: bool,
 }
 
 impl Fields<'_> {
@@ -148,18 +164,20 @@ impl Fields<'_> {
         if !rect.grow(1).overlaps(&g.core) {
             return Ok(Arc::default());
         }
-        let above = self.above(survey, &rect.grow(KERNEL));
+        // Splines reach half a cell further, into one more row of places.
+        let rows = if self.smooth { 2 } else { 1 };
+        let above = self.above(survey, &rect.grow(i64::from(rows) * KERNEL));
         if above.is_empty() {
             return Ok(Arc::default());
         }
         let mut near = Vec::new();
-        for (a, b) in NEIGHBOURS {
+        for (a, b) in around(rows) {
             let corner = [a, b].map(|k| f64::from(k) * KERNEL as f64);
             near.push((corner, self.reached(survey, i + a, j + b)?));
         }
         let near: Vec<_> = near.iter().map(|(c, r)| (*c, &r.border.pieces[..], &r.reaches[..])).collect();
         let corner = Halves::of(g.frame.post(rect.i0, rect.j0));
-        let field = Field::new(&near, false, |a, b| {
+        let field = Field::new(&near, self.smooth, |a, b| {
             let p = corner.moved(g.frame.u, a, 1).moved(g.frame.v, b, 1);
             self.spot(survey, &above, p)
         })?;
@@ -267,6 +285,22 @@ impl Fields<'_> {
         })
     }
 
+    /// The tolerances at which better surveys are shown at a side of their border or behind it, as deep as the lower one
+    /// may show through. A better survey's patch on the very border may be covered by what is left of the lower one there, and
+    /// its neighbour be shown.
+    fn spans_behind(&self, above: &[SurveyNumber], g: &Frame, p: Halves, across: Point) -> Result<Spans> {
+        let step = cells_long(g, across);
+        let mut found = Vec::new();
+        for depth in [0.0, BAND[0] / 2.0, BAND[0]] {
+            let hairs = ((2.0 * depth / step * HAIR as f64).round() as i64).max(1);
+            let q = p.moved(across, -hairs, HAIR);
+            if let Some(h) = self.first_with(above, q, false)? {
+                found.push(self.spans(h, q)?);
+            }
+        }
+        Ok(union(&found))
+    }
+
     /// The pieces of a place with their reaches.
     fn reached(&self, survey: SurveyNumber, i: i32, j: i32) -> Result<Arc<Reached>> {
         let key = ((survey, i, j), self.consistent);
@@ -275,12 +309,12 @@ impl Fields<'_> {
             if border.pieces.is_empty() {
                 return Ok(Arc::new(Reached { border, reaches: Vec::new() }));
             }
-            let mut around = Vec::new();
-            for (a, b) in NEIGHBOURS {
+            let mut near = Vec::new();
+            for (a, b) in around(1) {
                 let corner = [a, b].map(|k| f64::from(k) * KERNEL as f64);
-                around.push((corner, self.border(survey, i + a, j + b)?));
+                near.push((corner, self.border(survey, i + a, j + b)?));
             }
-            let around: Vec<_> = around.iter().map(|(c, b)| (*c, &**b)).collect();
+            let near: Vec<_> = near.iter().map(|(c, b)| (*c, &**b)).collect();
             let g = self.geometry(survey);
             let corner = g.frame.post(i64::from(i) * KERNEL, i64::from(j) * KERNEL);
             let at = [corner.x, corner.y].map(|v| v as f64 * self.unit.size());
@@ -289,7 +323,7 @@ impl Fields<'_> {
                 let d = [s.x, s.y].map(|v| v as f64 * self.unit.size());
                 (d[0] * metres[0]).hypot(d[1] * metres[1])
             };
-            let reaches = border.reaches(&around, length(g.frame.u).min(length(g.frame.v)));
+            let reaches = border.reaches(&near, length(g.frame.u).min(length(g.frame.v)));
             Ok(Arc::new(Reached { border, reaches }))
         })
     }
@@ -347,7 +381,7 @@ impl Fields<'_> {
                     ease: length / parts as f64 / 2.0,
                     gap,
                     contradicted,
-                    spans: self.spans(best, inner)?,
+                    spans: self.spans_behind(above, g, p, across)?,
                 });
             }
         }
@@ -390,9 +424,10 @@ impl Fields<'_> {
 /// A point is on a side of a border if it is there when moved across by this part of half a step.
 const HAIR: i64 = 512;
 
-/// A place and its eight neighbours, row by row.
-const NEIGHBOURS: [(i32, i32); 9] =
-    [(-1, -1), (0, -1), (1, -1), (-1, 0), (0, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
+/// A place and its neighbours, row by row.
+fn around(rows: i32) -> impl Iterator<Item = (i32, i32)> {
+    (-rows..=rows).flat_map(move |b| (-rows..=rows).map(move |a| (a, b)))
+}
 
 /// Length of a vector in cells of a frame.
 fn cells_long(frame: &Frame, v: Point) -> f64 {

@@ -4,11 +4,11 @@ mod table;
 
 use crate::certified::reference::{Survey, World};
 use crate::certified::worlds::{Ask, asks};
-use crate::support::{Grid, Random, Scratch, bundled, random_grid, seeds};
+use crate::support::{Grid, Random, Scratch, bundled, printed, random_grid, seeds, shared};
 use std::path::Path;
 use terraquilt::base::date::Date;
-use terraquilt::db::Policy;
 use terraquilt::db::query::Query;
+use terraquilt::db::{Db, Policy};
 use terraquilt::format;
 use terraquilt::height::source::{Affine, Window};
 use terraquilt::height::surface::{Blend, Evaluation, How, Seams};
@@ -133,7 +133,7 @@ fn what_seams_add_is_told_and_taken_away_again() {
             assert_eq!((off.correction_m, off.contradiction), (0.0, false));
             assert_eq!((on.z - on.correction_m).to_bits(), off.z.to_bits(), "{p:?}: {on:?} {off:?}");
             assert_eq!((on.certified, on.accuracy_m), (off.certified, off.accuracy_m));
-            assert!(on.error_m >= off.error_m && on.error_m >= on.correction_m.abs());
+            assert!(on.error_m >= off.error_m && on.error_m + 1e-9 >= on.correction_m.abs());
             moved += usize::from(on.correction_m != 0.0);
             most = most.max(on.correction_m.abs());
             if n % 7 == 0 && off.certified {
@@ -337,9 +337,10 @@ fn holes_are_filled_from_all_sides_and_own_borders_are_seams_too() {
     let [off, all] = steepest(&w, &rim, 0.0);
     println!("hole: {} normals, slope {off:.2} without, {all:.2} with", rim.len());
     assert!(rim.len() > 150 && off > 1.0 && all < 0.3);
-    let middle = [501_262.0, 4_000_238.0];
-    let filled = heights(&w, &Ask::Metres(0.0), Seams::All, &[middle])[0].clone().unwrap();
-    println!("its middle is raised by {:.2} m", filled.correction_m);
+    // Ten metres from the rim, where a gap of 3 m is carried for 40 m.
+    let beside = [501_206.0, 4_000_240.0];
+    let filled = heights(&w, &Ask::Metres(0.0), Seams::All, &[beside])[0].clone().unwrap();
+    println!("ten metres inside the base is raised by {:.2} m", filled.correction_m);
     assert!(filled.correction_m > 1.0 && filled.correction_m <= 3.0, "{filled:?}");
     // Equal accuracies: the larger patches are shown, and end inside the finer survey.
     let w = flats(1.0, 1.0, false);
@@ -356,6 +357,86 @@ fn holes_are_filled_from_all_sides_and_own_borders_are_seams_too() {
             "z = {z}: own border, {} normals, slope {off:.2} without, {all:.2} with; the other's {there:.2}, {bent:.2}",
             own.len()
         );
-        assert!(own.len() > 50 && all < 0.35 && bent < 0.35, "z = {z}: {off} {all} {there} {bent}");
+        assert!(
+            own.len() > 50 && all < 0.6 * off && bent < 0.3 * there,
+            "z = {z}: {off} {all} {there} {bent}"
+        );
+    }
+}
+
+/// Two surveys of the kit, in degrees: posts of 1/1200 degree over posts four times as far apart.
+#[test]
+fn seams_in_degrees_do_not_show_either() {
+    let (Some(base), Some(fine)) = (shared("kit/k01_base_x4.tif"), shared("kit/k03_native_a.tif")) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("db");
+    let path = db.to_str().unwrap();
+    printed(&["init", path, "--crs", "EPSG:4326", "--policy", "accuracy"]);
+    for (file, accuracy) in [(&base, "16"), (&fine, "6")] {
+        printed(&["ingest", path, file.to_str().unwrap(), "--accuracy", accuracy]);
+    }
+    let s = Db::open(&db).unwrap().snapshot(None).unwrap();
+    let g = read(&fine, "fine", 6.0, None);
+    let a = &g.affine;
+    // Across the ring of the western border of the finer survey, where one gives way to the other.
+    const STEPS: usize = 60;
+    let mut points = Vec::new();
+    for k in (10..g.rows - 10).step_by(3) {
+        for t in 0..STEPS {
+            let t = t as f64 / 50.0;
+            points.push([a.origin[0] + t * a.col_step[0], a.origin[1] + k as f64 * a.row_step[1]]);
+        }
+    }
+    let of = |seams: Seams| -> f64 {
+        let z = s.heights(&points, &Ask::Metres(0.0).tolerance(), how(seams)).unwrap();
+        let rise = |z: &[Option<Evaluation>]| {
+            (1..STEPS)
+                .filter_map(|k| Some((z[k].as_ref()?.z - z[k - 1].as_ref()?.z).abs()))
+                .fold(0.0, f64::max)
+        };
+        let mut rises: Vec<f64> = z.chunks_exact(STEPS).map(rise).collect();
+        rises.sort_by(f64::total_cmp);
+        rises[rises.len() / 2]
+    };
+    let (off, all) = (of(Seams::Off), of(Seams::All));
+    println!("rise within a fiftieth of a cell at the border, median: {off:.1} m without, {all:.1} m with");
+    assert!(all < 0.7 * off, "{off} {all}");
+}
+
+#[test]
+fn the_program_says_what_was_bent() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("db");
+    let db = db.to_str().unwrap();
+    printed(&["init", db, "--crs", "EPSG:26910", "--policy", "newest"]);
+    for k in [0, 3] {
+        let (file, accuracy, date) = HELENS[k];
+        let file = bundled("st_helens").join(file);
+        let accuracy = accuracy.to_string();
+        printed(&["ingest", db, file.to_str().unwrap(), "--accuracy", &accuracy, "--date", date]);
+    }
+    let ask = |more: &[&str]| -> serde_json::Value {
+        let mut args = vec!["heights", db, "562346,5115929", "--error", "0", "--json"];
+        args.extend(more);
+        serde_json::from_str::<Vec<serde_json::Value>>(&printed(&args)).unwrap().remove(0)
+    };
+    let (plain, all, held) = (ask(&[]), ask(&["--seams", "all"]), ask(&["--seams", "consistent"]));
+    assert_eq!((&plain["correction_m"], &plain["contradiction"]), (&0.0.into(), &false.into()));
+    let number = |v: &serde_json::Value, key: &str| v[key].as_f64().unwrap();
+    assert!(number(&all, "correction_m") > 5.0 && all["contradiction"] == true, "{all}");
+    assert!((0.1..=2.5).contains(&number(&held, "correction_m")), "{held}");
+    for bent in [&all, &held] {
+        assert_eq!(number(bent, "z") - number(bent, "correction_m"), number(&plain, "z"));
+        assert!(number(bent, "error_m") >= number(&plain, "error_m") + number(bent, "correction_m"));
+    }
+    // Pictures are corrected unless said otherwise, heights for analysis are not.
+    for (file, seams) in [("a.png", "all"), ("a.tif", "off")] {
+        let out = folder.path().join(file);
+        let told = printed(&["export", db, out.to_str().unwrap(), "--error", "5", "--step", "20", "--json"]);
+        let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+        assert_eq!(told["seams"], seams);
+        assert_eq!(number(&told, "error_m") > 6.0, seams == "all", "{told}");
     }
 }

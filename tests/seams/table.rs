@@ -1,6 +1,6 @@
 //! The table of section 15.2: slopes along borders of real surveys, before and after.
 
-use super::{helens, normals, read, slopes, world};
+use super::{heights, helens, normals, read, slopes, world};
 use crate::certified::reference::World;
 use crate::certified::worlds::Ask;
 use crate::support::{Grid, shared};
@@ -33,16 +33,42 @@ fn slopes_along_borders() {
         row(&format!("D, z = {z}"), &d, &Ask::Metres(z), &n);
     }
     let rising = Ask::Eye {
-        eye: [562_140.0, 5_116_100.0, d.z[1]],
-        look: [563_900.0, 5_116_100.0, d.z[1]],
+        eye: [563_250.0, 5_116_100.0, d.z[1]],
+        look: [561_900.0, 5_116_100.0, d.z[1]],
         fov: 60.0,
         viewport: [1000, 1000],
         pixels: 32.0,
     };
-    let ends = [562_165.0, 563_215.0].map(|x| rising.at([x, 5_116_100.0], d.z));
+    let ends = [563_215.0, 562_165.0].map(|x| rising.at([x, 5_116_100.0], d.z));
     row(&format!("D, z rising from {:.1} to {:.1}", ends[0], ends[1]), &d, &rising, &n);
     let chain = world(&helens(&[0, 1, 2, 3]), Policy::Newest);
     row("D, two more between, z = 0", &chain, &Ask::Metres(0.0), &normals(&chain.surveys[3], 1500));
+    let band: Vec<[f64; 2]> = n
+        .iter()
+        .flat_map(|(p, d)| [-10.0, -6.0, -2.0, 2.0, 6.0].map(|t| [p[0] + t * d[0], p[1] + t * d[1]]))
+        .collect();
+    for seams in [Seams::Off, Seams::All] {
+        let flat = heights(&d, &Ask::Metres(0.0), seams, &band);
+        let mut worst = (0.0f64, 0.0, [0.0; 2], 0.0);
+        for z in (1..=70).map(f64::from) {
+            for ((a, b), p) in heights(&d, &Ask::Metres(z), seams, &band).iter().zip(&flat).zip(&band) {
+                if let (Some(a), Some(b)) = (a, b) {
+                    let off = (a.z - b.z).abs() / z.max(2.0);
+                    if off > worst.0 {
+                        worst = (off, z, *p, a.correction_m);
+                    }
+                }
+            }
+        }
+        println!(
+            "{}: max |F(z) - F(0)| / max(z, 2) for z from 1 to 70: {:.2} (z = {} at {:?}, corrected by {:.2} m)",
+            seams.name(),
+            worst.0,
+            worst.1,
+            worst.2,
+            worst.3
+        );
+    }
     let Some(s) = sierra() else { return };
     let n = normals(&s.surveys[1], 1500);
     for z in [0.0, 5.0, 15.0, 25.0, 40.0, 80.0] {

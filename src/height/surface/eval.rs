@@ -215,8 +215,8 @@ pub(super) struct Scratch {
     hoods: Vec<Option<MetHood>>,
     /// Patches met lately, by number modulo their count.
     last: Vec<Option<(u32, Shape)>>,
-    /// Weights and errors of the contributors at the point.
-    shares: Vec<(f64, f64)>,
+    /// Weights and errors of the contributors at the point, and whether contradicting surveys bent them.
+    shares: Vec<(f64, f64, bool)>,
     /// Per survey: the block of its correction met last.
     seams: Vec<Option<MetField>>,
 }
@@ -399,13 +399,14 @@ impl Sheet<'_> {
             let zero = *reference.get_or_insert(f.value());
             weights = weights + weight;
             sum = sum + weight * (f - T::constant(zero));
-            let mut bound = f64::from(patch.bot);
+            let (mut bound, mut contradicted) = (f64::from(patch.bot), false);
             if surface.corrected {
-                let c = seams.of(self, patch.survey, here.index, tolerance, s)?;
+                let c;
+                (c, contradicted) = seams.of(self, patch.survey, here.index, tolerance, s)?;
                 seams.sum = seams.sum + weight * c;
                 bound = add_up(bound, c.value().abs());
             }
-            s.shares.push((weight.value(), bound));
+            s.shares.push((weight.value(), bound, contradicted));
             accuracy = accuracy.min(survey.accuracy);
             if let Some(w) = who.as_deref_mut() {
                 w.push((k as usize, weight.value()));
@@ -414,9 +415,11 @@ impl Sheet<'_> {
         let Some(zero) = reference else { return Ok(None) };
         let f = sum / weights;
         // At the edge of its support a patch may weigh a rounding error, or nothing: that must not decide the answer.
-        for (weight, bot) in &s.shares {
+        let mut contradiction = false;
+        for (weight, bound, contradicted) in &s.shares {
             if *weight > SHARE_MIN * weights.value() {
-                error = error.max(*bot);
+                error = error.max(*bound);
+                contradiction |= contradicted;
             }
         }
         let mut certified = false;
@@ -446,13 +449,13 @@ impl Sheet<'_> {
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
             correction_m,
-            contradiction: seams.contradiction,
+            contradiction,
         };
         Ok(Some((evaluation, f)))
     }
 
-    /// The correction of a survey at a point of its index space, and whether contradicting surveys made it.
-    fn correction<T: Real>(&self, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<(T, bool)> {
+    /// The correction of a survey at a point of its index space.
+    fn correction<T: Real>(&self, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<Bent<T>> {
         let block = index.map(|c| (c.value() / KERNEL as f64).floor());
         let key = (block[0] as i32, block[1] as i32);
         s.seams.resize(self.surface.surveys.len(), None);
@@ -509,29 +512,29 @@ impl Sheet<'_> {
     }
 }
 
+/// A correction, and whether contradicting surveys made it.
+type Bent<T> = (T, bool);
+
 /// The corrections at one point: by survey, and their weighted sum.
 struct Corrections<T> {
-    few: [Option<T>; FEW],
-    many: Vec<Option<T>>,
+    few: [Option<Bent<T>>; FEW],
+    many: Vec<Option<Bent<T>>>,
     sum: T,
-    contradiction: bool,
 }
 
 impl<T: Real> Corrections<T> {
     fn new(surface: &Surface) -> Corrections<T> {
         let n = surface.surveys.len();
         let many = if surface.corrected && n > FEW { vec![None; n] } else { Vec::new() };
-        Corrections { few: [None; FEW], many, sum: T::constant(0.0), contradiction: false }
+        Corrections { few: [None; FEW], many, sum: T::constant(0.0) }
     }
 
     /// The correction of a survey that contributes.
-    fn of(&mut self, sheet: &Sheet, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<T> {
+    fn of(&mut self, sheet: &Sheet, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<Bent<T>> {
         let slot = if self.many.is_empty() { &mut self.few[survey] } else { &mut self.many[survey] };
-        if let Some(c) = slot {
-            return Ok(*c);
+        match slot {
+            Some(c) => Ok(*c),
+            None => Ok(*slot.insert(sheet.correction(survey, index, z, s)?)),
         }
-        let (c, contradicted) = sheet.correction(survey, index, z, s)?;
-        self.contradiction |= contradicted;
-        Ok(*slot.insert(c))
     }
 }

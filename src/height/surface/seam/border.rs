@@ -43,6 +43,11 @@ impl Border {
         Border { pieces }
     }
 
+    /// Bytes it holds, for caches.
+    pub fn weight(&self) -> u64 {
+        64 + (std::mem::size_of::<Piece>() * self.pieces.len()) as u64
+    }
+
     /// How far each gap is carried, in cells (B of section 15.1): the larger the gaps around, the further, so that no
     /// slope above [`SLOPE`] is added. `around`: this border and its eight neighbours, each with the place of its corner.
     pub fn reaches(&self, around: &[([f64; 2], &Border)], metres_per_cell: f64) -> Vec<f64> {
@@ -93,4 +98,42 @@ fn join(pieces: &[Piece], side: f64) -> Vec<Piece> {
         }
     }
     squares.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(x: f64, y: f64, length: f64, gap: f64) -> Piece {
+        let spans = super::super::spans(vec![[0.0, f32::INFINITY]], 0.0);
+        Piece { at: [x, y], length, ease: length / 2.0, gap, contradicted: gap > 5.0, spans }
+    }
+
+    #[test]
+    fn ragged_borders_become_fewer_pieces_of_the_same_length_and_mean() {
+        let fine: Vec<Piece> = (0..5000)
+            .map(|k| piece(f64::from(k % 500) * 0.05, f64::from(k / 500), 0.05, f64::from(k % 7)))
+            .collect();
+        let length: f64 = fine.iter().map(|p| p.length).sum();
+        let mean = |p: &[Piece]| p.iter().map(|p| p.length * p.gap).sum::<f64>() / length;
+        let whole = mean(&fine);
+        let joined = Border::new(fine);
+        assert!(joined.pieces.len() <= PIECES_MAX && joined.pieces.len() > 1000);
+        assert!((joined.pieces.iter().map(|p| p.length).sum::<f64>() - length).abs() < 1e-9);
+        assert!((mean(&joined.pieces) - whole).abs() < 1e-9);
+        assert!(joined.pieces.iter().any(|p| p.contradicted));
+        // Pieces of a fifth of a cell are left as they are.
+        let few = Border::new((0..100).map(|k| piece(f64::from(k) * 0.2, 3.0, 0.2, 1.0)).collect());
+        assert_eq!(few.pieces.len(), 100);
+    }
+
+    #[test]
+    fn a_gap_is_carried_as_far_as_its_slope_allows() {
+        let border = Border::new(vec![piece(1.0, 1.0, 1.0, 0.2), piece(20.0, 1.0, 1.0, -16.0)]);
+        let none = Border::default();
+        let near: Vec<([f64; 2], &Border)> = vec![([-28.0, 0.0], &none), ([0.0, 0.0], &border)];
+        // Cells of 10 m: 16 m over 200 m is a slope of 0.15 at its steepest.
+        assert_eq!(border.reaches(&near, 10.0), [4.0, 20.0]);
+        assert_eq!(border.reaches(&near, 1.0), [4.0, 28.0]);
+    }
 }

@@ -213,3 +213,84 @@ fn basis<T: Real>(t: T) -> [T; 4] {
         (t2 * t).scale(1.0 / 6.0),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Border, spans};
+    use super::*;
+    use crate::height::surface::Dual;
+
+    /// A straight border along y = 14 with a gap that varies, seen from the place beside it, too.
+    fn border() -> Border {
+        let piece = |k: i32| Piece {
+            at: [(f64::from(k) + 0.5) / 5.0, 14.0],
+            length: 0.2,
+            ease: 0.1,
+            gap: 5.0 + f64::from(k % 9 - 4),
+            contradicted: k < 20,
+            spans: spans(vec![[0.5, if k < 70 { 30.0 } else { f32::INFINITY }]], 0.5),
+        };
+        Border::new((0..140).map(piece).collect())
+    }
+
+    fn field(corner: f64, smooth: bool) -> Field {
+        let b = border();
+        let reaches = vec![20.0; b.pieces.len()];
+        let near: Vec<Near> = vec![([corner, 0.0], &b.pieces, &reaches)];
+        // The better survey lies below the border.
+        let spot = |_: i64, b: i64| {
+            let inside = Spot::Inside { gap: 5.0, contradicted: false };
+            Ok::<_, ()>(if b < 28 { inside } else { Spot::Outside })
+        };
+        Field::new(&near, smooth, spot).unwrap()
+    }
+
+    fn at(f: &Field, x: f64, y: f64, z: f64) -> f64 {
+        f.at(x, y, z, |t: f64| t.clamp(0.0, 1.0)).0
+    }
+
+    #[test]
+    fn places_agree_bit_for_bit_where_they_touch() {
+        let (here, beside) = (field(0.0, false), field(-28.0, false));
+        for k in 0..57 {
+            let y = f64::from(k) / 2.0;
+            assert_eq!(at(&here, 28.0, y, 1.0).to_bits(), at(&beside, 0.0, y, 1.0).to_bits());
+        }
+        assert!(at(&here, 28.0, 16.0, 1.0) > 1.0 && field(-60.0, false).is_flat());
+    }
+
+    #[test]
+    fn a_correction_is_the_gap_at_the_border_and_fades() {
+        let f = field(0.0, false);
+        // The mean of the nearest gaps: 7 and 8.
+        assert!((at(&f, 14.0, 14.0, 0.0) - 7.5).abs() < 1.0);
+        assert!((at(&f, 14.0, 12.0, 0.0) - 5.0).abs() < 1e-6);
+        let away: Vec<f64> = (0..28).map(|k| at(&f, 14.0, 14.0 + f64::from(k) / 2.0, 0.0)).collect();
+        assert!(away[2..].windows(2).all(|w| w[1] <= w[0] + 1e-6), "{away:?}");
+        assert!(away.iter().all(|v| (0.0..=9.0).contains(v)));
+        // Where the better survey is not shown any more, nothing is left to be bent.
+        assert_eq!(at(&f, 2.0, 15.0, 1000.0).min(0.5), at(&f, 2.0, 15.0, 40.0).min(0.5));
+        assert!(at(&f, 1.0, 15.0, 40.0) < 0.5 * at(&f, 1.0, 15.0, 20.0));
+        assert!(f.at(1.0, 15.0, 0.0, |t: f64| t).1 && !f.at(27.0, 27.0, 0.0, |t: f64| t).1);
+    }
+
+    #[test]
+    fn splines_stay_within_the_nodes_and_have_continuous_slopes() {
+        let (here, beside, plain) = (field(0.0, true), field(-28.0, true), field(0.0, false));
+        let slope = |f: &Field, x: f64, y: f64| {
+            let (x, y) = (Dual { v: x, x: 1.0, y: 0.0 }, Dual { v: y, x: 0.0, y: 1.0 });
+            f.at(x, y, Dual { v: 1.0, x: 0.0, y: 0.0 }, |t: Dual| t).0
+        };
+        for k in 1..56 {
+            let y = f64::from(k) / 2.0;
+            let (a, b) = (slope(&here, 28.0, y), slope(&beside, 0.0, y));
+            assert!((a.v - b.v).abs() < 1e-6 && (a.x - b.x).abs() < 1e-5 && (a.y - b.y).abs() < 1e-5);
+            let (a, b) = (slope(&here, 10.0 - 1e-7, y), slope(&here, 10.0 + 1e-7, y));
+            assert!((a.x - b.x).abs() < 1e-5, "a kink between nodes");
+            let h = 1e-5;
+            let central = (at(&here, 9.3 + h, y, 1.0) - at(&here, 9.3 - h, y, 1.0)) / (2.0 * h);
+            assert!((slope(&here, 9.3, y).x - central).abs() < 1e-5);
+            assert!((at(&here, 9.3, y, 1.0) - at(&plain, 9.3, y, 1.0)).abs() < 1.0);
+        }
+    }
+}

@@ -11,7 +11,7 @@
 //! the rotation or the sides of a cell: for square cells this is the formula of the specification, letter by letter.
 //!
 //! Where the better survey is not shown at a tolerance there is no seam to hide: every piece of border carries the
-//! spans of tolerance in which its survey has a live patch there, and its part of the sums fades with them ([`Spans`]). Pieces
+//! spans of tolerance in which better surveys have a live patch there, and its part of the sums fades with them ([`Spans`]). Pieces
 //! with equal spans form one [`Channel`]; at small tolerances all of them are there, and the sum is the formula above.
 
 mod border;
@@ -22,7 +22,7 @@ mod spans;
 pub use border::{Border, Piece};
 pub use field::{Field, Near, Spot};
 pub use sides::{Side, outline};
-pub use spans::{Spans, spans};
+pub use spans::{Spans, spans, union};
 
 use crate::height::lod::KERNEL;
 
@@ -37,7 +37,7 @@ const SLOPE: f64 = 0.15;
 /// Largest slope of the ramp g of class C2.
 const RAMP_SLOPE: f64 = 1.875;
 /// Inside the better surveys the gap itself is used up to here, and fades until the sum of both, in cells.
-const BAND: [f64; 2] = [3.0, 4.0];
+pub const BAND: [f64; 2] = [3.0, 4.0];
 /// Nodes along the side of a place: half a cell apart.
 pub const NODES: usize = 2 * KERNEL as usize + 1;
 
