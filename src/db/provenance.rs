@@ -100,7 +100,7 @@ impl Snapshot {
                 let (mut inside, mut with_data) = (0, 0);
                 for i in 0..n[0] as u64 {
                     let p = [0, 1].map(|k| b[k] + ([i, j][k] as f64 + 0.5) * out.step[k]);
-                    if ground.selection.region.clip(&[p]).is_empty() {
+                    if !query.area.contains(p) || ground.selection.region.clip(&[p]).is_empty() {
                         continue;
                     }
                     inside += 1;
