@@ -5,6 +5,7 @@
 //! - [`query`]: patches of a region within a tolerance, differences, heights;
 //! - [`verify`]: everything that can be checked; [`fingerprint`]: one hash of the logical content.
 
+mod area;
 mod arrive;
 mod build;
 mod change;
