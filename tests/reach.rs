@@ -33,6 +33,17 @@ fn helens(domes: bool) -> (tempfile::TempDir, String) {
     (folder, path)
 }
 
+/// The heights that the program prints, to the last bit (JSON readers may lose it).
+fn told(args: &[&str], points: &[[f64; 2]]) -> Vec<[f64; 3]> {
+    let text: Vec<String> = points.iter().map(|p| format!("{},{}", p[0], p[1])).collect();
+    let args: Vec<&str> = args.iter().copied().chain(text.iter().map(String::as_str)).collect();
+    let row = |l: &str| {
+        let n: Vec<f64> = l.split(',').map(|c| c.parse().unwrap()).collect();
+        [n[0], n[1], n[2]]
+    };
+    printed(&args).lines().skip(1).map(row).collect()
+}
+
 fn snapshot(path: &str) -> Snapshot {
     Db::open(Path::new(path)).unwrap().snapshot(None).unwrap()
 }
@@ -114,19 +125,15 @@ fn foci_are_certified() {
     let (foci, delta) = foci();
     certified(&snapshot(&path), &Tolerance::Foci(Foci::new(foci.clone()).unwrap()), &delta, 1);
     // The same through the program.
-    let mut args = vec!["heights".to_string(), path.clone(), "--json".into()];
-    for f in &foci {
-        let [x, y] = f.center;
-        args.push(format!("--focus={x},{y},{},{},{}", f.radius, f.error, f.growth));
-    }
+    let focus =
+        |f: &Focus| format!("--focus={},{},{},{},{}", f.center[0], f.center[1], f.radius, f.error, f.growth);
+    let (one, two) = (focus(&foci[0]), focus(&foci[1]));
     let points = scatter(INSIDE, 20, 5);
-    args.extend(points.iter().map(|p| format!("{},{}", p[0], p[1])));
-    let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    let told: Value = serde_json::from_str(&printed(&args)).unwrap();
+    let told = told(&["heights", &path, &one, &two], &points);
     let tolerance = Tolerance::Foci(Foci::new(foci).unwrap());
     let found = snapshot(&path).heights(&points, &tolerance, Blend::Exact).unwrap();
-    for (t, e) in told.as_array().unwrap().iter().zip(found) {
-        assert_eq!(t["z"].as_f64(), e.map(|e| e.z));
+    for (t, e) in told.iter().zip(found) {
+        assert_eq!(t[2].to_bits(), e.unwrap().z.to_bits());
     }
 }
 
@@ -140,13 +147,10 @@ fn rasters_of_tolerances_are_certified() {
     // The same from a file, through the program.
     let file = write_grid(folder.path(), "t.tif", 26910, affine, [cols, rows], &values);
     let points = scatter(INSIDE, 20, 6);
-    let text: Vec<String> = points.iter().map(|p| format!("{},{}", p[0], p[1])).collect();
-    let mut args = vec!["heights", &path, "--json", "--error-raster", file.to_str().unwrap()];
-    args.extend(text.iter().map(String::as_str));
-    let told: Value = serde_json::from_str(&printed(&args)).unwrap();
+    let told = told(&["heights", &path, "--error-raster", file.to_str().unwrap()], &points);
     let found = snapshot(&path).heights(&points, &tolerance, Blend::Exact).unwrap();
-    for (t, e) in told.as_array().unwrap().iter().zip(found) {
-        assert_eq!(t["z"].as_f64(), e.map(|e| e.z));
+    for (t, e) in told.iter().zip(found) {
+        assert_eq!(t[2].to_bits(), e.unwrap().z.to_bits());
     }
     // What cannot be a tolerance.
     let no_place = |name: &str, epsg, values: &[f32], word: &str| {
@@ -360,7 +364,7 @@ fn meshes_and_rasters_are_cut_along_a_polygon() {
     std::fs::write(&file, geojson(&parts)).unwrap();
     let tif = folder.path().join("parts.tif");
     let (file, out) = (file.to_str().unwrap(), tif.to_str().unwrap());
-    printed(&["export", &path, out, "--error", "2", "--polygon", file, "--step", "7"]);
+    printed(&["export", &path, out, "--error", "2", "--polygon", file, "--step", "7.3"]);
     let (affine, cols, rows, z) = read_grid(&tif);
     let (mut filled, mut wrong) = (0, 0);
     for (k, z) in z.iter().enumerate() {
@@ -368,7 +372,10 @@ fn meshes_and_rasters_are_cut_along_a_polygon() {
         let p = [affine.origin[0] + c * affine.col_step[0], affine.origin[1] + r * affine.row_step[1]];
         let data = p[0] <= CRATER[2] + 10.0 && inside(&parts, p);
         filled += usize::from(!z.is_nan());
-        wrong += usize::from(data == z.is_nan());
+        if data == z.is_nan() {
+            println!("wrong: {p:?} {z}");
+            wrong += 1;
+        }
     }
     println!("{filled} of {} pixels filled", cols * rows);
     assert!(filled > 5000 && wrong == 0, "{wrong} pixels wrong");
@@ -444,15 +451,12 @@ fn longitude_and_latitude_are_the_same_places() {
     let (lonlat, utm) = (Crs::from_epsg(4326).unwrap(), Crs::from_epsg(26910).unwrap());
     let way = Transform::new(&lonlat, &utm, &DatumChoice::None).unwrap();
     let degrees: Vec<[f64; 2]> = scatter(INSIDE, 300, 9).iter().map(|p| way.inverse(*p).unwrap()).collect();
-    let text: Vec<String> = degrees.iter().map(|p| format!("{},{}", p[0], p[1])).collect();
-    let mut args = vec!["heights", &path, "--error", "1", "--coords", "EPSG:4326", "--json"];
-    args.extend(text.iter().map(String::as_str));
-    let told: Value = serde_json::from_str(&printed(&args)).unwrap();
+    let seen = told(&["heights", &path, "--error", "1", "--coords", "EPSG:4326"], &degrees);
     let metres: Vec<[f64; 2]> = degrees.iter().map(|p| way.forward(*p).unwrap()).collect();
     let found = s.heights(&metres, &Tolerance::Constant(1.0), Blend::Exact).unwrap();
-    for ((t, e), p) in told.as_array().unwrap().iter().zip(&found).zip(&degrees) {
-        assert_eq!(t["z"].as_f64().unwrap().to_bits(), e.as_ref().unwrap().z.to_bits(), "{t}");
-        assert_eq!((t["x"].as_f64(), t["y"].as_f64()), (Some(p[0]), Some(p[1])));
+    for ((t, e), p) in seen.iter().zip(&found).zip(&degrees) {
+        assert_eq!(t[2].to_bits(), e.as_ref().unwrap().z.to_bits(), "{t:?}");
+        assert_eq!([t[0], t[1]], *p);
     }
 
     // A raster in degrees is point queries.
@@ -541,7 +545,7 @@ fn a_tif_without_a_step_lies_on_the_posts() {
     let (theirs, width, _, samples) = read_grid(&file);
     let column = (affine.origin[0] - theirs.origin[0]) / 10.0;
     let row = (theirs.origin[1] - affine.origin[1]) / 10.0;
-    assert!((column - column.round()).abs() < 1e-6 && (row - row.round()).abs() < 1e-6, "{column} {row}");
+    assert!((column - column.round()).abs() < 1e-3 && (row - row.round()).abs() < 1e-3, "{column} {row}");
     assert_eq!((cols, rows), (120, 139));
     for (k, z) in z.iter().enumerate() {
         let there = (row.round() as usize + k / cols) * width + column.round() as usize + k % cols;

@@ -88,7 +88,7 @@ impl<'a> Raster<'a> {
     }
 
     fn sized(self, cols: f64, rows: f64) -> Result<Raster<'a>> {
-        if !(cols * rows <= limits::RASTER_POSTS_MAX as f64) {
+        if cols.is_nan() || rows.is_nan() || cols * rows > limits::RASTER_POSTS_MAX as f64 {
             return Err(Error::limit(
                 "pixels (give a smaller --bbox or a larger --step)",
                 limits::RASTER_POSTS_MAX,

@@ -54,13 +54,16 @@ pub fn metres_per_unit(unit: AxisUnit, at: [f64; 2]) -> [f64; 2] {
     }
 }
 
+/// Metres that a mesh may err at a place.
+type Allowed<'a> = &'a (dyn Fn([f64; 2]) -> f64 + Sync);
+
 struct GroundField<'a> {
     ground: &'a Ground<'a>,
     origin: [f64; 2],
     scale: [f64; 2],
     failed: Mutex<Option<Error>>,
     /// Where the tolerance is not the same everywhere: what the mesh may err at a place, and the most it may anywhere.
-    allowed: Option<(&'a (dyn Fn([f64; 2]) -> f64 + Sync), f64)>,
+    allowed: Option<(Allowed<'a>, f64)>,
 }
 
 impl GroundField<'_> {
@@ -167,7 +170,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
         origin,
         scale,
         failed: Mutex::new(None),
-        allowed: cut.as_ref().map(|_| (&allowed as &(dyn Fn([f64; 2]) -> f64 + Sync), mesh_error_m)),
+        allowed: cut.as_ref().map(|_| (&allowed as Allowed, mesh_error_m)),
     };
     let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
     options.wall_m = step * WALL_STEPS;
