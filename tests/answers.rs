@@ -313,6 +313,28 @@ fn surveys_that_contradict_each_other_are_told_before_and_after() {
 }
 
 #[test]
+fn a_tile_that_arrives_is_compared_where_it_lies() {
+    let flat = grid("flat", 0.0, |_, _| 10.0);
+    let raised = grid("raised", 0.0, |x, _| if x > 0.0 { 12.0 } else { 10.0 });
+    // West and east halves share the column of posts in the middle.
+    let (west, east) = (raised.cut(0, 0, 31, N), raised.cut(30, 0, 31, N));
+    let w = Scratch::new(Policy::Accuracy);
+    w.ingest(&flat);
+    assert!(w.ingest(&west).contradictions.is_empty());
+    let tile = Ingest { into: Some("raised".into()), ..raised.tiles_of(vec![east.source()]) };
+    let found = w.change(Change::Ingest(tile)).unwrap().contradictions;
+    // One or two columns of cells around the tile are looked at, too.
+    assert!(found[0].contradicted_cells == 30 * 60 && found[0].cells <= 32 * 60, "{found:?}");
+    // The other way round: the survey below is the one that was there first.
+    let w = Scratch::new(Policy::Accuracy);
+    w.ingest(&raised);
+    assert!(w.ingest(&flat.cut(0, 0, 31, N)).contradictions.is_empty());
+    let tile = Ingest { into: Some("flat".into()), ..flat.tiles_of(vec![flat.cut(30, 0, 31, N).source()]) };
+    let found = w.change(Change::Ingest(tile)).unwrap().contradictions;
+    assert_eq!(found[0].contradicted_cells, 30 * 60, "{found:?}");
+}
+
+#[test]
 fn a_datum_slip_is_suggested_and_agreement_is_silent() {
     let w = Scratch::new(Policy::Accuracy);
     w.ingest(&grid("a", 0.5, plane));
@@ -321,7 +343,7 @@ fn a_datum_slip_is_suggested_and_agreement_is_silent() {
     assert!(
         slip[0].hint.as_ref().unwrap().contains("datum slip?") && (slip[0].mean_m.abs() - 1.2).abs() < 1e-5
     );
-    assert!(w.ingest(&grid("within", 0.5, |x, y| plane(x, y) + 0.6)).contradictions.len() == 0);
+    assert!(w.ingest(&grid("within", 0.5, |x, y| plane(x, y) + 0.6)).contradictions.is_empty());
 }
 
 #[test]

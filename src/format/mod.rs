@@ -4,6 +4,7 @@
 //! or [`hgt`] (SRTM tiles). Readers hand out samples in the file's own type, window by window, and
 //! mark voids; they never hold a whole file that comes in strips or tiles. [`voids`] decides which
 //! samples are no height. Each folder is the only door to the library behind it.
+//! Written are meshes ([`gltf`]), pictures ([`relief`], [`colour_map`]) and lines and polygons ([`geojson`]).
 
 pub mod colour_map;
 pub mod geojson;
