@@ -214,7 +214,7 @@ fn a_volume_between_two_planes_and_its_worst_case() {
         let (a, b) = (Terrain::new(from, &q).unwrap(), Terrain::new(&s, &q).unwrap());
         let g = analysis::Grid::new(&[&a, &b], &q.area, None, None).unwrap();
         let mut seen = 0;
-        let c = analysis::change(&a, &b, &g, Some(0.0), &|_| true, |_, row| {
+        let c = analysis::volumes(&a, &b, &g, Some(0.0), &|_| true, |_, row| {
             seen += row.iter().filter(|d| !d.is_nan()).count();
             Ok(())
         })

@@ -1,7 +1,7 @@
 //! Between two states of the ground: volume, difference.
 
-use super::{PICTURE_SIDE, Picture, ending, metered, no_format, size_of, step, write_raster};
-use crate::analysis::{self, Change, Grid, Terrain};
+use super::{PICTURE_SIDE, Picture, ending, metered, no_format, question, size_of, step, write_raster};
+use crate::analysis::{self, Grid, Terrain, Volumes};
 use crate::base::{Error, Result};
 use crate::cli::args::{Region, ToleranceArgs};
 use crate::cli::output::{Meter, Output, stop_flag};
@@ -65,13 +65,13 @@ impl Between {
             &Grid,
             &mut dyn FnMut(&mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()>,
         ) -> Result<()>,
-    ) -> Result<Change> {
+    ) -> Result<Volumes> {
         let (from, to) = (Terrain::new(&states[0], query)?, Terrain::new(&states[1], query)?);
         let grid = Grid::new(&[&from, &to], &query.area, step(self.step.as_deref())?, side_max)?;
         let mut found = None;
         rows(&grid, &mut |f| {
             let done = metered("heights", |going| {
-                analysis::change(&from, &to, &grid, self.independent_beyond, going, f)
+                analysis::volumes(&from, &to, &grid, self.independent_beyond, going, f)
             })?;
             found = Some(done);
             Ok(())
@@ -117,7 +117,7 @@ impl Volume {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = self.between.tolerance.query(&self.between.region)?;
+        let query = question(&self.between.region, &self.between.tolerance)?;
         let c = self.between.compare(&states, &query, None, |_, go| go(&mut |_, _| Ok(())))?;
         let mut out = Output::new();
         if self.json {
@@ -186,7 +186,7 @@ impl Difference {
         };
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = self.between.tolerance.query(&self.between.region)?;
+        let query = question(&self.between.region, &self.between.tolerance)?;
         let picture = Picture { ramp: Ramp::Diverging, range, unit: "m", legend: true };
         let mut size = [0; 2];
         let c = self.between.compare(&states, &query, png.then_some(PICTURE_SIDE), |grid, go| {

@@ -13,11 +13,12 @@ pub use line::{Profile, SightCommand};
 pub use region::{ContoursCommand, StatisticsCommand};
 pub use shape::{Aspect, Hillshade, Slope};
 
-use super::args::numbers;
+use super::args::{Region, ToleranceArgs, numbers};
 use super::export::write_whole;
 use super::output::{Meter, bytes, stop_flag};
 use crate::analysis::Grid;
 use crate::base::{Error, Result};
+use crate::db::query::Query;
 use crate::format::colour_map::{ColourMap, Ramp, write_colour_map};
 use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use crate::height::crs::Crs;
@@ -29,6 +30,11 @@ use std::sync::atomic::Ordering;
 
 /// Cells along the longer side of a picture.
 const PICTURE_SIDE: usize = 1600;
+
+/// The question that the arguments of a command ask of a version.
+fn question(region: &Region, tolerance: &ToleranceArgs) -> Result<Query> {
+    tolerance.query(region)
+}
 
 /// `--step X` or `X,Y` in CRS units.
 fn step(text: Option<&str>) -> Result<Option<[f64; 2]>> {

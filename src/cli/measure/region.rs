@@ -1,6 +1,6 @@
 //! Over a region: statistics, contours.
 
-use super::{ending, metered, no_format, size_of, step};
+use super::{ending, metered, no_format, question, size_of, step};
 use crate::analysis::{self, Grid, Levels, Terrain};
 use crate::base::Result;
 use crate::cli::args::{Region, Source, ToleranceArgs};
@@ -35,7 +35,7 @@ pub struct StatisticsCommand {
 impl StatisticsCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = question(&self.region, &self.tolerance)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let f = metered("heights", |going| analysis::statistics(&terrain, &grid, going))?;
@@ -97,7 +97,7 @@ impl ContoursCommand {
             return Err(no_format(&self.out, ".geojson"));
         }
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = question(&self.region, &self.tolerance)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let levels = Levels { interval: self.interval, base: self.base };

@@ -1,7 +1,8 @@
 //! The ground's shape as a raster: slope, aspect, hillshade.
 
 use super::{
-    PICTURE_SIDE, Picture, common, ending, metered, no_format, size_of, step, write_picture, write_raster,
+    PICTURE_SIDE, Picture, common, ending, metered, no_format, question, size_of, step, write_picture,
+    write_raster,
 };
 use crate::analysis::{Grid, Shape, Spot, Sun, Terrain};
 use crate::base::{Error, Result};
@@ -119,7 +120,7 @@ impl Drawn {
             _ => return Err(no_format(&self.out, ".tif or .png")),
         };
         let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let query = question(&self.region, &self.tolerance)?;
         let terrain = Terrain::new(&s, &query)?;
         let side = png.then_some(PICTURE_SIDE);
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, side)?;
