@@ -17,6 +17,7 @@ use terraquilt::height::crs::Crs;
 use terraquilt::height::frame::{CellRect, Frame};
 use terraquilt::height::lod::cutter::standing;
 use terraquilt::height::lod::{Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World};
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::SampleType;
 use terraquilt::height::surface::Blend;
 
@@ -161,7 +162,10 @@ fn standings(c: &mut Criterion) {
 }
 
 fn helens(folder: &Path) -> Result<Db> {
-    let db = Db::create(folder, &Options { crs: Crs::parse("EPSG:26910")?, policy: Policy::Newest })?;
+    let db = Db::create(
+        folder,
+        &Options { crs: Crs::parse("EPSG:26910")?, policy: Policy::Newest, patch: Kind::Bilinear },
+    )?;
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/st_helens");
     let stop = AtomicBool::new(false);
     for (date, accuracy_m) in
@@ -174,8 +178,11 @@ fn helens(folder: &Path) -> Result<Db> {
             accuracy_m: Some(accuracy_m),
             date: Some(Date::parse(date)?),
             precedence: None,
-            vertical_unit_m: 1.0,
-            assume_crs: false,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: Default::default(),
+            step: None,
             lattice: None,
         };
         let progress = Progress { report: &|_, _| (), stop: &stop };

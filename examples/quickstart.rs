@@ -5,11 +5,14 @@ use std::sync::atomic::AtomicBool;
 use terraquilt::base::date::Date;
 use terraquilt::db::query::{Query, Tolerance};
 use terraquilt::db::{Change, Db, Ingest, Options, Policy, Progress};
-use terraquilt::height::{crs::Crs, surface::Blend};
+use terraquilt::height::{crs::Crs, patch::Kind, surface::Blend};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::temp_dir().join(format!("terraquilt-quickstart-{}", std::process::id()));
-    let db = Db::create(&folder, &Options { crs: Crs::parse("EPSG:26910")?, policy: Policy::Newest })?;
+    let db = Db::create(
+        &folder,
+        &Options { crs: Crs::parse("EPSG:26910")?, policy: Policy::Newest, patch: Kind::Bilinear },
+    )?;
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/st_helens");
     let (stop, quiet) = (AtomicBool::new(false), |_: &str, _: f64| ());
     for (date, accuracy_m) in [("2000-09-25", 2.0), ("2004-10-13", 0.5)] {
@@ -20,8 +23,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             accuracy_m: Some(accuracy_m),
             date: Some(Date::parse(date)?),
             precedence: None,
-            vertical_unit_m: 1.0,
-            assume_crs: false,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: Default::default(),
+            step: None,
             lattice: None,
         };
         let progress = Progress { report: &quiet, stop: &stop };

@@ -12,6 +12,7 @@ use terraquilt::db::query::{Area, Query, Tolerance};
 use terraquilt::db::{self, Change, Db, Ingest, Options, Policy, Progress, Snapshot, metres_per_unit};
 use terraquilt::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use terraquilt::height::crs::Crs;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::{Affine, SampleType, Window};
 use terraquilt::height::surface::Blend;
 
@@ -421,20 +422,11 @@ fn degrees_become_metres_of_their_latitude() {
     write_tif(&file, 4326, affine, 50, &z);
     let db = Db::create(
         &folder.path().join("db"),
-        &Options { crs: Crs::from_epsg(4326).unwrap(), policy: Policy::Accuracy },
+        &Options { crs: Crs::from_epsg(4326).unwrap(), policy: Policy::Accuracy, patch: Kind::Bilinear },
     )
     .unwrap();
-    let request = Ingest {
-        sources: vec![terraquilt::format::open(&file).unwrap()],
-        name: Some("slope".into()),
-        into: None,
-        accuracy_m: Some(0.0),
-        date: None,
-        precedence: None,
-        vertical_unit_m: 1.0,
-        assume_crs: false,
-        lattice: None,
-    };
+    let sources = vec![terraquilt::format::open(&file).unwrap()];
+    let request = Ingest { name: Some("slope".into()), ..grid("slope", 0.0, |_, _| 0.0).tiles_of(sources) };
     crate::support::change(&db, Change::Ingest(request)).unwrap();
     let path = folder.path().join("db");
     let path = path.to_str().unwrap();

@@ -4,6 +4,7 @@ use crate::oracle::{self, OracleSurvey, PatchBox};
 use crate::support::{Grid, Random, Scratch, bundled, printed, random_grid, seeds};
 use std::collections::BTreeMap;
 use terraquilt::db::{Change, Policy, TreeNode, boxes, surveys};
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::Window;
 
 /// What the oracle needs to know of a survey: its frame as printed, its samples as delivered.
@@ -26,7 +27,7 @@ fn oracle_survey(row: &serde_json::Value, grid: &Grid) -> OracleSurvey {
 }
 
 /// Compares the database with the oracle, tree included.
-fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Counts {
+pub fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Counts {
     let snapshot = s.db.snapshot(None).unwrap();
     let rows = serde_json::to_value(surveys(&snapshot).unwrap()).unwrap();
     let worlds: Vec<OracleSurvey> = rows
@@ -43,7 +44,10 @@ fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Counts
     })
     .unwrap();
     let found: Vec<PatchBox> = oracle::parse_boxes(&text).unwrap();
-    let report = oracle::check(&worlds, &found);
+    let report = match s.db.kind() {
+        Kind::Bilinear => oracle::check(&worlds, &found),
+        Kind::Bicubic => oracle::check_splines(&worlds, &found),
+    };
     assert!(report.problems.is_empty(), "{:#?}", report.problems);
     let expected = oracle::expected_tree(&found, ([-(1 << 60); 2], [1 << 60; 2]), 64, 32);
     let stored = terraquilt::db::tree(&snapshot).unwrap().expect("a version has a tree");

@@ -13,6 +13,7 @@ use terraquilt::base::date::Date;
 use terraquilt::db::query::Tolerance;
 use terraquilt::db::{Change, Db, Options, Policy, Progress};
 use terraquilt::height::crs::Crs;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::Affine;
 use terraquilt::height::surface::Blend;
 
@@ -27,7 +28,7 @@ fn ground(x: i64, y: i64) -> f32 {
     (4 * (500 + fold(x + y, 90) + fold(3 * x - y, 210) / 3) + rough) as f32 / 4.0
 }
 
-fn grid(name: &str, origin: [i64; 2], col: [i64; 2], row: [i64; 2], hole: bool) -> Grid {
+pub fn grid(name: &str, origin: [i64; 2], col: [i64; 2], row: [i64; 2], hole: bool) -> Grid {
     let (cols, rows) = (60, 50);
     let at = |i: i64, j: i64| [0, 1].map(|k| origin[k] + i * col[k] + j * row[k]);
     let mut z = Vec::new();
@@ -54,7 +55,12 @@ fn grid(name: &str, origin: [i64; 2], col: [i64; 2], row: [i64; 2], hole: bool) 
 
 /// Three commits: a survey of 10 m, one of 5 m turned by a 3-4-5 triangle over it, and a date for the first.
 fn build(path: &Path) -> Db {
-    let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy: Policy::Accuracy };
+    build_of(path, Kind::Bilinear)
+}
+
+/// The same with patches of a kind.
+pub fn build_of(path: &Path, patch: Kind) -> Db {
+    let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy: Policy::Accuracy, patch };
     let db = Db::create(path, &options).unwrap();
     let old = grid("old ground", [500_005, 4_000_495], [10, 0], [0, -10], false);
     let new = grid("new ground", [500_100, 4_000_250], [4, 3], [3, -4], true);
@@ -66,7 +72,7 @@ fn build(path: &Path) -> Db {
 }
 
 /// Fingerprints of all versions, and heights as bits: what must never change.
-fn answers(db: &Db) -> String {
+pub fn answers(db: &Db) -> String {
     let mut out = String::new();
     for v in 1..=3 {
         let s = db.snapshot(Some(v)).unwrap();
@@ -95,11 +101,13 @@ fn answers(db: &Db) -> String {
     out
 }
 
+/// The segments of a database. Version records hold times, and are no function of the commands.
 fn segments(db: &Path) -> BTreeMap<String, Vec<u8>> {
     std::fs::read_dir(db.join("segments"))
         .unwrap()
         .map(|e| e.unwrap())
         .map(|e| (e.file_name().into_string().unwrap(), std::fs::read(e.path()).unwrap()))
+        .filter(|(name, _)| name.ends_with(".tqs"))
         .collect()
 }
 

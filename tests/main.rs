@@ -8,13 +8,19 @@ mod answers;
 
 /// Bad files, wrong calls, damaged, full and read-only databases: one clear line each, and nothing half done.
 mod bad_input;
+/// Databases of bicubic patches: slopes and curvature without a jump, and all that holds for bilinear ones.
+mod bicubic;
+/// Backup, copy, compact, prune, rebuild; what surveys contribute.
+mod care;
 /// What the surface promises: certified errors, no gap, no jump, equality with the definition.
 mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
 mod crash;
+/// Coordinates: values of PROJ, datum shifts that have to be chosen, heights over geoids.
+mod crs;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
-/// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
+/// Formats in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
 /// Meshes as GLB: within the bound, manifold, exact border.
 mod glb;
@@ -30,5 +36,11 @@ mod kill;
 mod oracle;
 /// Any order of arrival, tiles, removal: one fingerprint.
 mod order;
+/// Tolerances that vary, regions by polygon, coordinates of the user's choice.
+mod reach;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
+/// Surveys delivered in another system than the database's: their posts, their tiles, what is refused.
+mod resampled;
+/// Seams between surveys that disagree: off they cost nothing, on they do not show.
+mod seams;

@@ -120,6 +120,7 @@ impl Grid {
     pub fn contains(&self, p: [f64; 2]) -> bool {
         match &self.area {
             Area::Everything => true,
+            Area::Polygon(polygon) => polygon.contains(p),
             Area::Box(b) => {
                 let slack = [self.step[0] * 1e-6, self.step[1] * 1e-6];
                 (0..2).all(|k| p[k] >= b[k] - slack[k] && p[k] <= b[k + 2] + slack[k])

@@ -1,8 +1,10 @@
 //! `demo`: the whole story on real surveys of Mount St. Helens that are part of the program.
 
-use super::export::{glb, png};
+use super::export::png;
 use super::ingest::carry_out;
+use super::mesh::glb;
 use super::output::{Output, bytes, count};
+use super::place::Place;
 use super::shading::Raster;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -11,7 +13,8 @@ use crate::db::{self, Change, Db, Ingest, Options, Policy};
 use crate::format;
 use crate::height::crs::Crs;
 use crate::height::lod::cut::Camera;
-use crate::height::surface::Blend;
+use crate::height::patch::Kind;
+use crate::height::surface::{Blend, How, Seams};
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -72,8 +75,11 @@ fn ingest(db: &Db, folder: &Path, b: &Bundled) -> Result<db::Outcome> {
         accuracy_m: Some(b.accuracy_m),
         date: Some(Date::parse(b.date)?),
         precedence: None,
-        vertical_unit_m: 1.0,
-        assume_crs: false,
+        vertical_unit_m: None,
+        vertical_datum: None,
+        crs: None,
+        datum: Default::default(),
+        step: None,
         lattice: None,
     };
     carry_out(db, Change::Ingest(request), None, false)
@@ -93,7 +99,7 @@ impl Demo {
         out.line("at 2 m on ragged footprints, and the whole crater again in June 2005 at 10 m (USGS, public domain).")?;
         out.line("Policy 'newest': where surveys overlap, the later one is the ground.\n")?;
 
-        let options = Options { crs: Crs::from_epsg(26910)?, policy: Policy::Newest };
+        let options = Options { crs: Crs::from_epsg(26910)?, policy: Policy::Newest, patch: Kind::Bilinear };
         let path = dir.join("helens");
         let db = Db::create(&path, &options)?;
         for b in &SURVEYS {
@@ -153,9 +159,11 @@ impl Demo {
 
         out.line("\nDrawn:")?;
         let now = db.snapshot(None)?;
-        let raster = Raster::new(&now, None, None, 1400)?;
+        let place = Place::default();
+        let raster = Raster::new(&now, &place, None, 1400)?;
         let picture = dir.join("helens-2004.png");
-        png(&now, &uniform(2.0), &raster, &picture)?;
+        let bent = How { blend: Blend::Exact, seams: Seams::All };
+        png(&now, &Query { how: bent, ..uniform(2.0) }, &raster, &picture)?;
         out.line(format!(
             "  {}   shaded relief at 2 m error; red: small patches, blue: large ones",
             picture.display()

@@ -6,7 +6,8 @@ use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::db::{self, Change, Db, Options, Outcome, Policy, Progress};
 use crate::format;
-use crate::height::crs::Crs;
+use crate::height::crs::{Crs, DatumChoice};
+use crate::height::patch::Kind;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -20,13 +21,17 @@ enum PolicyName {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum PatchKind {
+    /// Continuous; fastest
     Bilinear,
+    /// Cubic splines: slopes and curvature are continuous, too
     Bicubic,
 }
 
 /// Make a new, empty database
 #[derive(Args)]
-#[command(after_help = "Example:\n  terraquilt init pit --crs EPSG:32610 --policy newest")]
+#[command(
+    after_help = "Examples:\n  terraquilt init pit --crs EPSG:32610 --policy newest\n  terraquilt init dunes --crs EPSG:32611 --patch bicubic"
+)]
 pub struct Init {
     /// Directory to make
     db: PathBuf,
@@ -36,16 +41,13 @@ pub struct Init {
     /// Who wins where surveys overlap
     #[arg(long, value_enum, default_value = "accuracy")]
     policy: PolicyName,
-    /// Kind of patches
+    /// Kind of patches: what lies between posts
     #[arg(long, value_enum, default_value = "bilinear")]
     patch: PatchKind,
 }
 
 impl Init {
     pub fn run(self) -> Result<bool> {
-        if matches!(self.patch, PatchKind::Bicubic) {
-            return Err(Error::unsupported("--patch bicubic", "not there yet", "use --patch bilinear"));
-        }
         let Some(crs) = self.crs else {
             return Err(Error::invalid(
                 "--crs",
@@ -56,12 +58,17 @@ impl Init {
             PolicyName::Accuracy => Policy::Accuracy,
             PolicyName::Newest => Policy::Newest,
         };
-        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy })?;
+        let patch = match self.patch {
+            PatchKind::Bilinear => Kind::Bilinear,
+            PatchKind::Bicubic => Kind::Bicubic,
+        };
+        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy, patch })?;
         message(&format!(
-            "made {} in {}, policy {}; next: terraquilt ingest {} FILE --accuracy METRES",
+            "made {} in {}, policy {}, {} patches; next: terraquilt ingest {} FILE --accuracy METRES",
             db.path().display(),
             db.crs().code,
             policy.name(),
+            patch.name(),
             db.path().display()
         ));
         Ok(true)
@@ -100,15 +107,25 @@ struct Said {
     /// Rank; a higher one replaces lower ones and wins over the policy
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     precedence: Option<i64>,
-    /// The files are in this coordinate system, whatever they say
-    #[arg(long, value_name = "EPSG:n")]
+    /// The files are in this coordinate system, whatever they say; they are resampled if it is not the database's
+    #[arg(long, value_name = "EPSG:n|ESRI:n|PROJ|WKT", allow_hyphen_values = true)]
     crs: Option<String>,
+    /// The way from an old datum (NAD27, Pulkovo ...): dx,dy,dz[,rx,ry,rz,s] to WGS 84 (metres, arc seconds, ppm; position
+    /// vector), or `ballpark` (none: off by up to hundreds of metres)
+    #[arg(long, value_name = "SHIFT", allow_hyphen_values = true)]
+    datum_shift: Option<String>,
+    /// Spacing of the survey's own posts where the files are resampled, CRS units [default: that of the files]
+    #[arg(long, value_name = "X[,Y]")]
+    step: Option<String>,
     /// This sample value means: no data
     #[arg(long, value_name = "V", allow_hyphen_values = true)]
     nodata: Option<f64>,
-    /// Unit of the heights in the files
-    #[arg(long, value_enum, default_value = "m")]
-    vertical_unit: VerticalUnit,
+    /// Unit of the heights in the files [default: as they say, else metres]
+    #[arg(long, value_enum)]
+    vertical_unit: Option<VerticalUnit>,
+    /// What heights count from: a code (EPSG:5703) or a name [default: as the files say]
+    #[arg(long, value_name = "DATUM")]
+    vertical_datum: Option<String>,
     /// Declare the lattice that the posts lie on (file headers may be rounded)
     #[arg(long, value_name = "STEPX,STEPY,PHASEX,PHASEY", allow_hyphen_values = true)]
     lattice: Option<String>,
@@ -124,7 +141,7 @@ struct Said {
 }
 
 impl Said {
-    fn request(&self, db: &Db, files: &[PathBuf]) -> Result<db::Ingest> {
+    fn request(&self, files: &[PathBuf]) -> Result<db::Ingest> {
         let mut sources = Vec::with_capacity(files.len());
         for f in files {
             let mut s = format::open(f)?;
@@ -133,23 +150,10 @@ impl Said {
             }
             sources.push(s);
         }
-        let assume_crs = match &self.crs {
-            None => false,
-            Some(c) => {
-                let c = Crs::parse(c)?;
-                if c.code != db.crs().code {
-                    return Err(Error::unsupported(
-                        "--crs",
-                        format!(
-                            "{} is not the database's {}; reprojection is not there yet",
-                            c.code,
-                            db.crs().code
-                        ),
-                        format!("warp the files first: gdalwarp -t_srs {} IN.tif OUT.tif", db.crs().code),
-                    ));
-                }
-                true
-            }
+        let step = match self.step.as_deref() {
+            None => None,
+            Some(t) if t.contains(',') => Some(numbers("--step", t)?),
+            Some(t) => numbers("--step", t).map(|[s]: [f64; 1]| Some([s, s]))?,
         };
         Ok(db::Ingest {
             sources,
@@ -158,8 +162,11 @@ impl Said {
             accuracy_m: self.accuracy,
             date: self.date.as_deref().map(Date::parse).transpose()?,
             precedence: self.precedence,
-            vertical_unit_m: self.vertical_unit.metres(),
-            assume_crs,
+            vertical_unit_m: self.vertical_unit.map(VerticalUnit::metres),
+            vertical_datum: self.vertical_datum.clone(),
+            crs: self.crs.as_deref().map(Crs::parse).transpose()?,
+            datum: self.datum_shift.as_deref().map_or(Ok(DatumChoice::None), DatumChoice::parse)?,
+            step,
             lattice: self.lattice.as_deref().map(|l| numbers("--lattice", l)).transpose()?,
         })
     }
@@ -230,6 +237,15 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
         count(o.dormant),
         o.seconds
     ))?;
+    if let Some(r) = &o.resampling {
+        out.line(format!(
+            "  resampled: {} delivered samples differ from the surface by {:.3} m on average, 99 % by at most {:.3} m, at most {:.3} m",
+            count(r.posts),
+            r.mean_m,
+            r.p99_m,
+            r.max_m
+        ))?;
+    }
     for (name, cells) in &o.flipped_cells {
         out.line(format!("  shows or hides {} cells of '{name}'", count(*cells)))?;
     }
@@ -247,7 +263,7 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
 pub struct IngestFiles {
     /// Directory of the database
     db: PathBuf,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Name of the survey; default: that of the first file
@@ -263,7 +279,7 @@ pub struct IngestFiles {
 impl IngestFiles {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
-        let mut request = self.said.request(&db, &self.files)?;
+        let mut request = self.said.request(&self.files)?;
         request.name = self.name.clone();
         request.into = self.into.clone();
         self.said.carry_out(&db, Change::Ingest(request))
@@ -278,7 +294,7 @@ pub struct Replace {
     db: PathBuf,
     /// Survey whose tiles are delivered again
     survey: String,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -288,7 +304,7 @@ pub struct Replace {
 impl Replace {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
-        let ingest = self.said.request(&db, &self.files)?;
+        let ingest = self.said.request(&self.files)?;
         self.said.carry_out(&db, Change::Replace { survey: self.survey.clone(), ingest })
     }
 }

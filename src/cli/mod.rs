@@ -10,8 +10,14 @@ mod demo;
 mod export;
 mod ingest;
 mod measure;
+mod mesh;
+mod origin;
 mod output;
+mod place;
+mod points;
 mod shading;
+mod tolerance;
+mod upkeep;
 
 use crate::base::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -57,7 +63,13 @@ enum Command {
     Info(care::InfoCommand),
     Fingerprint(care::Fingerprint),
     Verify(care::Verify),
-    Prune(care::Prune),
+    Redundant(origin::Redundant),
+    Provenance(origin::ProvenanceCommand),
+    Prune(upkeep::Prune),
+    Compact(upkeep::Compact),
+    Backup(upkeep::Backup),
+    Copy(upkeep::Copy),
+    Rebuild(upkeep::Rebuild),
 }
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
@@ -101,7 +113,13 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Info(c) => c.run(),
         Command::Fingerprint(c) => c.run(),
         Command::Verify(c) => c.run(),
+        Command::Redundant(c) => c.run(),
+        Command::Provenance(c) => c.run(),
         Command::Prune(c) => c.run(),
+        Command::Compact(c) => c.run(),
+        Command::Backup(c) => c.run(),
+        Command::Copy(c) => c.run(),
+        Command::Rebuild(c) => c.run(),
     };
     finish(done)
 }

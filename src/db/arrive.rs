@@ -2,14 +2,16 @@
 
 use super::change::{Call, Ingest, Outcome, find_survey};
 use super::commit::{Plan, Retiled};
-use super::contradictions::Arriving;
-use super::database::{Db, Policy, Writing};
+use super::database::Policy;
+use super::declare::{agree, crs_of, declare, fits, one_vertical_datum};
 use super::head::{Declaration, Head, Tile};
+use super::resample::warp_of;
 use super::root::SurveyEntry;
 use super::tile::{Directory, write_tile};
 use super::view::Tables;
-use crate::base::{Error, Result, limits};
-use crate::height::frame::{CellRect, Lattice};
+use super::writing::Writing;
+use crate::base::{Error, Result};
+use crate::height::frame::CellRect;
 use crate::height::lod::SurveyNumber;
 use crate::height::source::SourceInfo;
 use crate::store::segment::{PageRef, Pages, SegmentKind, SegmentWriter, file_name};
@@ -31,7 +33,7 @@ impl Writing {
             .clone();
         let mut warnings: Vec<String> = Vec::new();
         for s in &request.sources {
-            check_source(s.info(), db, request.assume_crs)?;
+            crs_of(s.info(), &request, db)?;
             warnings.extend(s.info().notes.iter().map(|n| format!("{}: {n}", s.info().file)));
         }
         let entry = request.into.as_deref().map(|n| self.find(n).cloned()).transpose()?;
@@ -41,8 +43,13 @@ impl Writing {
                 agree(&h.declaration, &first, &request)?;
                 h.declaration.clone()
             }
-            None => declare(db, &first, &request, &mut warnings)?,
+            None => {
+                let infos: Vec<&SourceInfo> = request.sources.iter().map(|s| s.info()).collect();
+                declare(db, &infos, &request, &mut warnings)?
+            }
         };
+        one_vertical_datum(&declaration, &self.view)?;
+        let warp = warp_of(&declaration)?;
         if request.name.is_none() && entry.is_none() && request.sources.len() > 1 {
             warnings.push(format!(
                 "{} files make one survey, named '{}'; --name names it",
@@ -77,27 +84,16 @@ impl Writing {
         let mut tiles: Vec<Tile> = Vec::new();
         let mut dead = Vec::new();
         let (mut posts, mut voids) = (0, 0);
-        for source in &mut request.sources {
+        let mut sources = std::mem::take(&mut request.sources);
+        for source in &mut sources {
             let info = source.info().clone();
-            if info.sample_type != declaration.sample_type
-                || info.scale * request.vertical_unit_m != declaration.scale
-                || info.offset * request.vertical_unit_m != declaration.offset
-            {
-                return Err(Error::invalid(
-                    &info.file,
-                    format!(
-                        "samples are {} (scale {}, offset {}), the survey's are {} (scale {}, offset {}); ingest it as a survey of its own",
-                        info.sample_type.name(),
-                        info.scale * request.vertical_unit_m,
-                        info.offset * request.vertical_unit_m,
-                        declaration.sample_type.name(),
-                        declaration.scale,
-                        declaration.offset
-                    ),
-                ));
+            fits(&declaration, &info, &request, db)?;
+            let affine = info.affine.expect("a file without a georeference was refused");
+            let at = declaration.delivered_lattice().index_of(&affine, info.cols, info.rows, &info.file)?;
+            if let Some(w) = &warp {
+                let posts = CellRect::new(at[0], at[1], at[0] + info.cols as i64, at[1] + info.rows as i64);
+                w.target_rect(&posts, &info.file)?;
             }
-            let affine = info.affine.expect("check_source saw a georeference");
-            let at = declaration.lattice.index_of(&affine, info.cols, info.rows, &info.file)?;
             let tile = write_tile(source.as_mut(), &declaration, at, &mut segment, call.progress)?;
             posts += info.cols * info.rows;
             voids += info.cols * info.rows - tile.valid;
@@ -177,14 +173,13 @@ impl Writing {
             (Some(e), false) => format!("ingest tiles into '{}'", e.name),
             (Some(e), true) => format!("replace tiles of '{}'", e.name),
         };
-        let arriving = Arriving { survey, declaration: &declaration, tiles: &kept, dirty, segment: &segment };
-        let contradictions = self.contradictions(&arriving, db.unit(), db.crs().unit)?;
         let retiled = Retiled {
             survey,
             before,
             declaration,
             tiles: kept,
             dirty,
+            compare: true,
             dead,
             segment,
             date,
@@ -195,7 +190,6 @@ impl Writing {
             self.commit(call, Plan { retiled: Some(retiled), action, warnings, ..Plan::default() })?;
         outcome.posts = posts;
         outcome.voids = voids;
-        outcome.contradictions = contradictions;
         Ok(outcome)
     }
 
@@ -225,7 +219,7 @@ impl Writing {
     ) -> Result<u64> {
         let read = |at: &PageRef, pages: &dyn Pages| Directory::decode(&pages.page(at)?, &file_name(at.file));
         let new = read(&t.directory, segment)?;
-        let w = declaration.sample_type.bytes();
+        let w = declaration.delivered().sample_type.bytes();
         let mut count = 0;
         for o in over {
             let layered = crate::store::segment::Layered { base: &self.view.files, writing: vec![segment] };
@@ -265,119 +259,6 @@ impl Writing {
 fn pages_in(segment: &SegmentWriter, t: &Tile) -> Result<Vec<PageRef>> {
     let d = Directory::decode(&segment.page(&t.directory)?, &file_name(t.directory.file))?;
     Ok(std::iter::once(t.directory).chain(d.pages.iter().map(|(p, _)| *p)).collect())
-}
-
-fn check_source(info: &SourceInfo, db: &Db, assume_crs: bool) -> Result<()> {
-    if info.affine.is_none() {
-        return Err(Error::invalid(
-            &info.file,
-            "has no georeference: where its posts lie is unknown; write one with gdal_translate -a_ullr ... -a_srs EPSG:n",
-        ));
-    }
-    if info.cols < 4 || info.rows < 4 {
-        return Err(Error::invalid(
-            &info.file,
-            format!("{} x {} posts; at least 4 x 4 are needed", info.cols, info.rows),
-        ));
-    }
-    let here = db.crs();
-    match &info.crs {
-        Some(c) if c.code == here.code => Ok(()),
-        _ if assume_crs => Ok(()),
-        Some(c) => Err(Error::unsupported(
-            &info.file,
-            format!("is in {}, the database in {}; reprojection is not there yet", c.code, here.code),
-            format!(
-                "warp it first: gdalwarp -t_srs {} IN.tif OUT.tif, or make a database with --crs {}",
-                here.code, c.code
-            ),
-        )),
-        None => Err(Error::invalid(
-            &info.file,
-            format!(
-                "does not say its CRS by an EPSG code; if it is {}, say so with --crs {}",
-                here.code, here.code
-            ),
-        )),
-    }
-}
-
-fn declare(db: &Db, first: &SourceInfo, request: &Ingest, warnings: &mut Vec<String>) -> Result<Declaration> {
-    let affine = first.affine.expect("check_source saw a georeference");
-    let mut lattice = Lattice::of_affine(&affine)?;
-    if let Some([sx, sy, px, py]) = request.lattice {
-        let [nx, ny] = lattice.nominal_steps();
-        if !(sx > 0.0 && sy > 0.0 && px.is_finite() && py.is_finite()) {
-            return Err(Error::invalid("--lattice", format!("steps {sx}, {sy} must be positive")));
-        }
-        lattice.col_step = lattice.col_step.map(|s| crate::base::round::significant(s / nx * sx, 12));
-        lattice.row_step = lattice.row_step.map(|s| crate::base::round::significant(s / ny * sy, 12));
-        lattice.phase = [px.rem_euclid(1.0), py.rem_euclid(1.0)];
-    }
-    let accuracy_m = match (request.accuracy_m, first.accuracy_m) {
-        (Some(a), _) => a,
-        (None, Some(a)) => {
-            let product = first.product.unwrap_or("product");
-            warnings.push(format!(
-                "{}: accuracy {a} m, that of {product}; --accuracy says otherwise",
-                first.file
-            ));
-            a
-        }
-        (None, None) => {
-            return Err(Error::invalid(
-                "accuracy",
-                format!(
-                    "{} does not say how accurate its heights are; give --accuracy METRES (the largest error you trust it not to exceed)",
-                    first.file
-                ),
-            ));
-        }
-    };
-    if !(0.0..=1e6).contains(&accuracy_m) {
-        return Err(Error::invalid(
-            "--accuracy",
-            format!("{accuracy_m} m; it must be between 0 and 1000000"),
-        ));
-    }
-    let name = request.name.clone().unwrap_or_else(|| {
-        std::path::Path::new(&first.file)
-            .file_stem()
-            .map_or_else(|| first.file.clone(), |s| s.to_string_lossy().into_owned())
-    });
-    if name.is_empty() || name.len() > limits::TEXT_BYTES_MAX / 4 {
-        return Err(Error::invalid(
-            "--name",
-            format!("'{name}': a name has 1 to {} bytes", limits::TEXT_BYTES_MAX / 4),
-        ));
-    }
-    let frame = lattice.frame(db.unit())?;
-    Ok(Declaration {
-        name,
-        crs: db.crs().code.clone(),
-        lattice,
-        frame,
-        sample_type: first.sample_type,
-        scale: first.scale * request.vertical_unit_m,
-        offset: first.offset * request.vertical_unit_m,
-        accuracy_m,
-    })
-}
-
-/// Whether what the user says of new tiles agrees with the survey that they join.
-fn agree(d: &Declaration, first: &SourceInfo, request: &Ingest) -> Result<()> {
-    if let Some(a) = request.accuracy_m
-        && a != d.accuracy_m
-    {
-        return Err(Error::invalid(
-            "--accuracy",
-            format!(
-                "{a} m, survey '{}' declares {} m; a declaration never changes: leave it out, or ingest {} as a survey of its own",
-                d.name, d.accuracy_m, first.file
-            ),
-        ));
-    }
-    Ok(())
 }
 
 /// Tiles that lie wholly inside the new rectangles leave; one that is partly covered is refused.

@@ -4,20 +4,22 @@
 //! with fills), errors over every sample, content keys. Sections 8, 9, 12 and 13 of the LOD-space specification.
 
 use super::change::Progress;
+use super::errors::errors;
 use super::head::{Declaration, Head, Tile};
 use super::reader::{BlockCache, SampleReader};
+use super::resample::{Resampling, warp_of};
 use super::tile::{Directory, blocks_of};
 use crate::base::{Error, Result, limits};
 use crate::height::block::{BLOCK, RawBlock, encode};
 use crate::height::cells::{Block, Fill};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Fact, LEVEL_MAX, Place, places_meeting, places_touching_posts};
-use crate::height::patch::{Residuals, bottom, id};
+use crate::height::patch::{Kind, bottom, id};
 use crate::store::segment::{Layered, PageRef, SegmentWriter};
 use crate::store::table::{PageAddress, PatchEntry, PatchPage, block_slot, slot};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// The state of a survey before the change.
 pub struct Before<'a> {
@@ -34,16 +36,24 @@ pub struct Built {
     pub changed: Vec<(Place, Option<PatchEntry>, Option<PatchEntry>)>,
     /// Pages of the previous state that are dead now.
     pub dead: Vec<PageRef>,
+    /// Posts of the survey that may have changed.
+    pub dirty: CellRect,
+    /// What resampling did to the samples that changed, if the survey is resampled and it was asked for.
+    pub resampling: Option<Resampling>,
 }
 
 /// What is built from.
 pub struct Input<'a> {
+    /// Of all patches of the database.
+    pub kind: Kind,
     pub declaration: Declaration,
     /// Descending by key.
     pub tiles: Vec<(Tile, Arc<Directory>)>,
     pub before: Option<Before<'a>>,
-    /// Posts whose sample may have changed; everything if there is no state before.
+    /// Delivered posts whose sample may have changed; everything if there is no state before.
     pub dirty: CellRect,
+    /// Compare the posts of a resampled survey with the samples they were made of.
+    pub compare: bool,
     pub cache: &'a BlockCache,
     pub stamp: u64,
 }
@@ -55,8 +65,18 @@ pub fn build(
     out: &mut SegmentWriter,
     progress: &Progress,
 ) -> Result<Built> {
-    let extent =
-        input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts)).union(&input.dirty);
+    let warp = warp_of(&input.declaration)?;
+    let own = |posts: &CellRect| match &warp {
+        None => Ok(*posts),
+        Some(_) if posts.is_empty() => Ok(*posts),
+        Some(w) => w.target_rect(posts, &input.declaration.name),
+    };
+    let mut posts = CellRect::new(0, 0, 0, 0);
+    for (t, _) in &input.tiles {
+        posts = posts.union(&own(&t.posts)?);
+    }
+    let dirty = own(&input.dirty)?;
+    let extent = posts.union(&dirty);
     let span = extent.width() as u64 * extent.height() as u64;
     if span > limits::EXTENT_POSTS_MAX {
         return Err(Error::limit(
@@ -68,7 +88,13 @@ pub fn build(
             span,
         ));
     }
-    let mut b = Builder { input, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
+    let delivered = input.dirty;
+    let compare = input.compare;
+    let mut b =
+        Builder { input, posts, dirty, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
+    if let Some(w) = &warp {
+        b.resample(w, base, out, progress)?;
+    }
     b.core(base, out)?;
     let core = b.core_rect()?;
     let level_max = level_max(&core)?;
@@ -78,7 +104,13 @@ pub fn build(
         progress.step("levels", f64::from(level) / f64::from(level_max))?;
     }
     b.facts(level_max, base, out, progress)?;
-    b.finish(level_max, core, out)
+    let resampling = match &warp {
+        Some(w) if compare => Some(b.compare(w, &delivered, base, out, progress)?),
+        _ => None,
+    };
+    let mut built = b.finish(level_max, core, out)?;
+    built.resampling = resampling;
+    Ok(built)
 }
 
 /// The least level at which the core needs at most 2 x 2 patches.
@@ -91,8 +123,11 @@ fn level_max(core: &CellRect) -> Result<u8> {
         .ok_or_else(|| Error::limit("levels of a survey", u64::from(LEVEL_MAX), u64::from(LEVEL_MAX) + 1))
 }
 
-struct Builder<'a> {
+pub(super) struct Builder<'a> {
     input: Input<'a>,
+    /// The rectangle of posts that tiles span, and those that may have changed.
+    posts: CellRect,
+    pub(super) dirty: CellRect,
     /// Pages that change, as they will be.
     pages: BTreeMap<PageAddress, PatchPage>,
     /// New sample blocks of levels above 0.
@@ -112,7 +147,7 @@ impl Builder<'_> {
         Ok(self.before_page(PageAddress::of_place(place))?.and_then(|p| p.patches[slot(place)]))
     }
 
-    fn edit(&mut self, at: PageAddress) -> Result<&mut PatchPage> {
+    pub(super) fn edit(&mut self, at: PageAddress) -> Result<&mut PatchPage> {
         if !self.pages.contains_key(&at) {
             let page = self.before_page(at)?.map_or_else(PatchPage::default, |p| (*p).clone());
             self.pages.insert(at, page);
@@ -138,11 +173,16 @@ impl Builder<'_> {
         self.level_before().is_none_or(|l| level > l)
     }
 
-    fn posts(&self) -> CellRect {
-        self.input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts))
+    /// Whether a page is there or will be.
+    pub(super) fn knows(&self, at: PageAddress) -> Result<bool> {
+        Ok(self.pages.contains_key(&at) || self.before_page(at)?.is_some())
     }
 
-    fn with_reader<R>(
+    pub(super) fn set_block(&mut self, level: u8, bi: i64, bj: i64, at: Option<PageRef>) {
+        self.blocks.insert((level, bi, bj), at);
+    }
+
+    pub(super) fn with_reader<R>(
         &self,
         base: &crate::store::segment::Files,
         out: &SegmentWriter,
@@ -169,7 +209,7 @@ impl Builder<'_> {
 
     /// Level-0 core cells of the places whose cells may have changed.
     fn core(&mut self, base: &crate::store::segment::Files, out: &SegmentWriter) -> Result<()> {
-        let d = self.input.dirty;
+        let d = self.dirty;
         // A cell is core by the 4 x 4 posts around it.
         let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
         let range = places_meeting(0, &cells);
@@ -302,8 +342,8 @@ impl Builder<'_> {
         out: &mut SegmentWriter,
         progress: &Progress,
     ) -> Result<()> {
-        let all = self.posts();
-        let posts = if self.is_new(level) { all } else { self.input.dirty };
+        let all = self.posts;
+        let posts = if self.is_new(level) { all } else { self.dirty };
         let blocks = blocks_of(&Self::vertices_near(&posts, level));
         for bj in blocks.j0..blocks.j1 {
             progress.check()?;
@@ -322,7 +362,7 @@ impl Builder<'_> {
             self.blocks.iter().filter(|(k, _)| k.0 == level).map(|(k, v)| (*k, *v)).collect();
         for ((_, bi, bj), at) in new {
             let address = PageAddress::of_block(level, bi, bj);
-            if at.is_some() || self.pages.contains_key(&address) || self.before_page(address)?.is_some() {
+            if at.is_some() || self.knows(address)? {
                 self.edit(address)?.blocks[block_slot(bi, bj)] = at;
             }
         }
@@ -331,7 +371,7 @@ impl Builder<'_> {
 
     /// Places of a level whose payload or error may have changed.
     fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
-        let d = if self.is_new(level) { *all } else { self.input.dirty };
+        let d = if self.is_new(level) { *all } else { self.dirty };
         let r = if level == 0 { 0 } else { 1i64 << level };
         places_touching_posts(level, d.i0 - r, d.j0 - r, d.i1 - 1 + r, d.j1 - 1 + r)
     }
@@ -344,9 +384,13 @@ impl Builder<'_> {
         out: &SegmentWriter,
         progress: &Progress,
     ) -> Result<()> {
-        let all = self.posts();
+        let all = self.posts;
         let ranges: Vec<CellRect> = (0..=level_max).map(|l| self.dirty_places(l, &all)).collect();
-        let deltas = self.with_reader(base, out, |reader| errors(reader, &ranges, &all, progress))?;
+        let kind = self.input.kind;
+        let deltas = self.with_reader(base, out, |reader| {
+            let exists = |place| Ok(self.core_fill(place)? != Fill::Empty);
+            errors(reader, kind, &ranges, &all, &exists, progress)
+        })?;
         let declaration_id = self.input.declaration.id();
         let accuracy = self.input.declaration.accuracy_m;
         for level in 0..=level_max {
@@ -364,8 +408,8 @@ impl Builder<'_> {
                             let k = ((j - range.j0) * range.width() + i - range.i0) as usize;
                             let delta = if level == 0 { 0.0 } else { deltas[level as usize][k] };
                             let bot = bottom(accuracy, delta);
-                            let z = reader.vertices(place)?;
-                            found.push((place, Fact { id: id(&declaration_id, place, &z, bot), bot }));
+                            let z = reader.vertices(kind, place)?;
+                            found.push((place, Fact { id: id(kind, &declaration_id, place, &z, bot), bot }));
                         }
                         Ok(found)
                     })
@@ -431,7 +475,7 @@ impl Builder<'_> {
             patches,
             pages: list.into_iter().collect(),
         };
-        Ok(Built { head, pages, changed: self.changed, dead })
+        Ok(Built { head, pages, changed: self.changed, dead, dirty: self.dirty, resampling: None })
     }
 }
 
@@ -449,7 +493,7 @@ fn decimate(reader: &SampleReader, level: u8, bi: i64, bj: i64, all: &CellRect) 
     for q in 0..4usize {
         let (ci, cj) = (2 * bi + (q as i64 & 1), 2 * bj + (q as i64 >> 1));
         let raws = if level == 1 {
-            if reader.valid_at_most(ci, cj) == 0 { Vec::new() } else { reader.tile_blocks(ci, cj)? }
+            reader.post_blocks(ci, cj)?
         } else {
             match (reader.levels)(level - 1, ci, cj)? {
                 Some(at) => vec![reader.raw(&at)?],
@@ -526,9 +570,13 @@ fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Res
         return Ok(None);
     }
     let blocks = blocks_of(&window);
-    let some =
-        (blocks.j0..blocks.j1).any(|bj| (blocks.i0..blocks.i1).any(|bi| reader.valid_at_most(bi, bj) > 0));
-    if !some {
+    let mut all_void = true;
+    for bj in blocks.j0..blocks.j1 {
+        for bi in blocks.i0..blocks.i1 {
+            all_void = all_void && reader.is_void(bi, bj)?;
+        }
+    }
+    if all_void {
         return Ok(None);
     }
     let (mut sum, mut n) = (0.0f64, 0u64);
@@ -545,95 +593,4 @@ fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Res
         j0 = j1;
     }
     Ok((n > 0).then(|| (sum / n as f64) as f32))
-}
-
-/// Largest error of every wanted place of every level above 0: one pass over the posts, bands in parallel.
-fn errors(
-    reader: &SampleReader,
-    ranges: &[CellRect],
-    all: &CellRect,
-    progress: &Progress,
-) -> Result<Vec<Vec<f64>>> {
-    let totals: Vec<Mutex<Vec<f64>>> =
-        ranges.iter().map(|r| Mutex::new(vec![0.0; (r.width() * r.height()) as usize])).collect();
-    if ranges.len() < 2 {
-        return Ok(totals.into_iter().map(|m| m.into_inner().unwrap_or_default()).collect());
-    }
-    let rows = blocks_of(all);
-    let done = std::sync::atomic::AtomicU64::new(0);
-    (rows.j0..rows.j1).collect::<Vec<i64>>().into_par_iter().with_max_len(1).try_for_each(
-        |bj| -> Result<()> {
-            let (j0, j1) = ((bj * BLOCK).max(all.j0), ((bj + 1) * BLOCK).min(all.j1));
-            // Per level: the wanted places that this band touches, and their columns of posts.
-            let mut gather: Vec<(Residuals, CellRect)> = Vec::new();
-            let mut cols = CellRect::new(0, 0, 0, 0);
-            for (level, range) in ranges.iter().enumerate().skip(1) {
-                let level = level as u8;
-                let touched = places_touching_posts(level, i64::MIN / 4, j0, i64::MAX / 4, j1 - 1);
-                let places =
-                    CellRect::new(range.i0, range.j0.max(touched.j0), range.i1, range.j1.min(touched.j1));
-                if places.is_empty() {
-                    continue;
-                }
-                let lo = Place::new(level, places.i0, 0).domain().i0.max(all.i0);
-                let hi = (Place::new(level, places.i1 - 1, 0).domain().i1 + 1).min(all.i1);
-                if lo >= hi {
-                    continue;
-                }
-                cols = cols.union(&CellRect::new(lo, j0, hi, j1));
-                gather.push((
-                    Residuals::new(level, places, lo, (hi - lo) as usize),
-                    CellRect::new(lo, 0, hi, 1),
-                ));
-            }
-            if gather.is_empty() {
-                return Ok(());
-            }
-            progress.check()?;
-            let posts = reader.posts(&CellRect::new(cols.i0, j0, cols.i1, j1))?;
-            let width = cols.width() as usize;
-            for (g, own) in &mut gather {
-                let level = g.level();
-                let (v0, vn) = g.vertices();
-                let (mut below, mut above) = (vec![0.0; vn], vec![0.0; vn]);
-                let mut at = i64::MIN;
-                for j in j0..j1 {
-                    if !g.wants(j) {
-                        continue;
-                    }
-                    let v = j >> level;
-                    if v != at {
-                        if v == at.wrapping_add(1) {
-                            std::mem::swap(&mut below, &mut above);
-                        } else {
-                            reader.line(level, v0, v, &mut below)?;
-                        }
-                        reader.line(level, v0, v + 1, &mut above)?;
-                        at = v;
-                    }
-                    let row = &posts[(j - j0) as usize * width..][..width];
-                    let from = (own.i0 - cols.i0) as usize;
-                    g.row(j, &row[from..from + own.width() as usize], &below, &above);
-                }
-            }
-            for (g, _) in gather {
-                let (level, places) = (g.level() as usize, g.places());
-                let found = g.finish();
-                let range = &ranges[level];
-                let mut total = totals[level].lock().expect("no thread panicked while holding the errors");
-                for (k, d) in found.into_iter().enumerate() {
-                    let (pi, pj) =
-                        (places.i0 + k as i64 % places.width(), places.j0 + k as i64 / places.width());
-                    let t = &mut total[((pj - range.j0) * range.width() + pi - range.i0) as usize];
-                    *t = t.max(d);
-                }
-            }
-            let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-            progress.step("errors", n as f64 / rows.height() as f64)
-        },
-    )?;
-    Ok(totals
-        .into_iter()
-        .map(|m| m.into_inner().expect("no thread panicked while holding the errors"))
-        .collect())
 }

@@ -1,11 +1,14 @@
 //! What a commit does: ingest, replace, remove, set. One survey's samples change in one commit.
 
 use super::contradictions::Contradiction;
-use super::database::{Db, Writing};
+use super::database::Db;
+use super::resample::Resampling;
 use super::root::SurveyEntry;
 use super::view::{Tables, View};
+use super::writing::Writing;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
+use crate::height::crs::{Crs, DatumChoice};
 use crate::height::source::HeightSource;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,12 +40,18 @@ pub struct Ingest {
     pub accuracy_m: Option<f64>,
     pub date: Option<Date>,
     pub precedence: Option<i64>,
-    /// Metres of one vertical unit of the files.
-    pub vertical_unit_m: f64,
-    /// The user says that files without a CRS, or with another, are in the database's CRS.
-    pub assume_crs: bool,
-    /// Declared lattice: col step, row step (lengths), phases.
+    /// Metres of one vertical unit of the files; `None`: as they say, else metres.
+    pub vertical_unit_m: Option<f64>,
+    /// What heights count from; `None`: as the files say.
+    pub vertical_datum: Option<String>,
+    /// The system of the files, whatever they say.
+    pub crs: Option<Crs>,
+    /// What is done where that system is on another datum than the database.
+    pub datum: DatumChoice,
+    /// Declared lattice of the files: col step, row step (lengths), phases.
     pub lattice: Option<[f64; 4]>,
+    /// Spacing of the survey's own posts where files are resampled, CRS units; `None`: that of the files.
+    pub step: Option<[f64; 2]>,
 }
 
 /// What to commit.
@@ -84,6 +93,9 @@ pub struct Outcome {
     pub records_gone: u64,
     pub records_come: u64,
     pub bytes_written: u64,
+    /// What resampling did to the samples that came; absent if nothing was resampled.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resampling: Option<Resampling>,
     /// Surveys that say other things of the ground that the files cover, beyond the stated accuracies.
     pub contradictions: Vec<Contradiction>,
     pub warnings: Vec<String>,

@@ -2,13 +2,14 @@
 
 use super::build::{Before, Built, Input, build};
 use super::change::{Call, Outcome};
-use super::database::{Publication, Writing};
+use super::contradictions::Arriving;
 use super::head::{Declaration, Head, Tile, check_world};
 use super::reader::block_cache;
 use super::root::{Root, SurveyEntry};
 use super::tile::Directory;
 use super::update::{Changes, Draft, Rebuilt};
 use super::view::{Tables, View};
+use super::writing::{Publication, Writing};
 use crate::base::Result;
 use crate::base::date::Date;
 use crate::height::frame::CellRect;
@@ -39,7 +40,10 @@ pub(super) struct Retiled {
     pub before: Option<Arc<Head>>,
     pub declaration: Declaration,
     pub tiles: Vec<Tile>,
+    /// Delivered posts that may have changed.
     pub dirty: CellRect,
+    /// Whether to compare what came: resampled posts with its samples, its ground with that of other surveys.
+    pub compare: bool,
     /// Pages of tiles that left.
     pub dead: Vec<PageRef>,
     pub segment: SegmentWriter,
@@ -67,6 +71,7 @@ impl Writing {
         }
         let mut survey_segment = None;
         let mut rebuilt = None;
+        let (mut resampling, mut contradictions) = (None, Vec::new());
         let mut subject = gone.iter().chain(&attributes).next().map(|e| e.number);
         if let Some(r) = retiled {
             let (date, precedence, since) = (r.date, r.precedence, r.since);
@@ -88,17 +93,33 @@ impl Writing {
                     Ok((t, d))
                 })
                 .collect::<Result<Vec<_>>>()?;
+            let directories = tiles.iter().map(|(_, d)| d.clone()).collect();
             let page = |at| view.patch_page(r.survey, at);
             let input = Input {
+                kind: db.kind(),
                 declaration: r.declaration,
                 tiles,
                 before: r.before.as_ref().map(|h| Before { head: h, page: &page }),
                 dirty: r.dirty,
+                compare: r.compare,
                 cache: &cache,
                 stamp: 0,
             };
-            let Built { head, pages, changed, dead: built_dead } =
+            let compare = r.compare;
+            let Built { head, pages, changed, dead: built_dead, dirty, resampling: found } =
                 build(input, &view.files, &mut segment, progress)?;
+            resampling = found;
+            if compare {
+                let new = Arriving {
+                    survey: r.survey,
+                    head: &head,
+                    directories,
+                    pages: &pages,
+                    dirty,
+                    segment: &segment,
+                };
+                contradictions = self.contradictions(&new, db.unit(), db.crs().unit)?;
+            }
             let precedence_rank = db.policy().precedence(date, precedence);
             let geometry = head.geometry(precedence_rank);
             check_world(&geometry, &head.declaration.name)?;
@@ -160,6 +181,8 @@ impl Writing {
             records_come: come_count,
             bytes_written: written,
             warnings,
+            resampling,
+            contradictions,
             version: self.counters.version + 1,
             ..Outcome::default()
         };

@@ -5,21 +5,24 @@
 //! They are compared at the centres of the cells of the coarser survey G, so a report costs what the overlap costs;
 //! of more than [`CELLS_MAX`] cells every n-th of every n-th row is taken.
 
-use super::database::{Snapshot, Writing};
-use super::head::{Declaration, Tile};
+use super::database::Snapshot;
+use super::head::{Declaration, Head};
 use super::reader::{SampleReader, block_cache};
 use super::tile::Directory;
 use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
+use super::writing::Writing;
 use crate::base::Result;
 use crate::base::lattice::Point;
 use crate::height::block::{BLOCK, Heights};
 use crate::height::crs::AxisUnit;
 use crate::height::frame::{CellRect, Frame, LatticeUnit};
 use crate::height::lod::{SurveyNumber, World};
-use crate::store::segment::{Layered, Pages, SegmentWriter, file_name};
+use crate::store::segment::{Layered, SegmentWriter};
+use crate::store::table::{PageAddress, PatchPage, block_slot};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Cells of one pair of surveys that are compared at most.
@@ -137,9 +140,9 @@ impl Cursor<'_> {
     fn post(&mut self, i: i64, j: i64) -> Result<Option<f64>> {
         let at = [i.div_euclid(BLOCK), j.div_euclid(BLOCK)];
         if self.last.as_ref().is_none_or(|(k, _)| *k != at) {
-            let block = match self.samples.valid_at_most(at[0], at[1]) {
-                0 => None,
-                _ => Some(self.samples.block(0, at[0], at[1])?),
+            let block = match self.samples.is_void(at[0], at[1])? {
+                true => None,
+                false => Some(self.samples.block(0, at[0], at[1])?),
             };
             self.last = Some((at, block));
         }
@@ -299,7 +302,7 @@ fn compare(
 /// Calls `f` with a survey of a version as one side of a pair.
 fn with_side<R>(view: &View, n: SurveyNumber, f: impl FnOnce(&Side) -> Result<R>) -> Result<R> {
     let head = view.head(n)?.clone();
-    view.with_samples(n, |samples| f(&Side::new(&head.declaration, head.posts(), samples)))
+    view.with_samples(n, |samples| f(&Side::new(&head.declaration, head.own_posts(), samples)))
 }
 
 impl Snapshot {
@@ -337,11 +340,14 @@ impl Snapshot {
 /// A survey as it will be once the files that arrive are in.
 pub(super) struct Arriving<'a> {
     pub survey: SurveyNumber,
-    pub declaration: &'a Declaration,
-    pub tiles: &'a [Tile],
-    /// Posts that change.
+    pub head: &'a Head,
+    /// Directories of its tiles, in their order.
+    pub directories: Vec<Arc<Directory>>,
+    /// Patch pages that changed.
+    pub pages: &'a BTreeMap<PageAddress, Option<Arc<PatchPage>>>,
+    /// Posts that may have changed.
     pub dirty: CellRect,
-    /// Where the new tiles are.
+    /// Where new pages are.
     pub segment: &'a SegmentWriter,
 }
 
@@ -353,33 +359,29 @@ impl Writing {
         unit: LatticeUnit,
         axis: AxisUnit,
     ) -> Result<Vec<Contradiction>> {
-        let mut tiles: Vec<&Tile> = new.tiles.iter().collect();
-        tiles.sort_by_key(|t| std::cmp::Reverse(t.key));
-        let tiles = tiles
-            .into_iter()
-            .map(|t| {
-                let at = t.directory;
-                let directory = if at.file == new.segment.number() {
-                    Arc::new(Directory::decode(&new.segment.page(&at)?, &file_name(at.file))?)
-                } else {
-                    self.view.directory(&at)?
-                };
-                Ok((t, directory))
-            })
-            .collect::<Result<Vec<_>>>()?;
         let pages = Layered { base: &self.view.files, writing: vec![new.segment] };
+        let view = &self.view;
+        let levels = |level: u8, bi: i64, bj: i64| {
+            let at = PageAddress::of_block(level, bi, bj);
+            let page = match new.pages.get(&at) {
+                Some(p) => p.clone(),
+                None if view.entries().contains_key(&new.survey) => view.patch_page(new.survey, at)?,
+                None => None,
+            };
+            Ok(page.and_then(|p| p.blocks[block_slot(bi, bj)]))
+        };
+        let declaration = &new.head.declaration;
         let samples = SampleReader {
             pages: &pages,
-            declaration: new.declaration,
-            tiles,
-            levels: &|_, _, _| Ok(None),
+            declaration,
+            tiles: new.head.tiles.iter().zip(new.directories.iter().cloned()).collect(),
+            levels: &levels,
             cache: &block_cache(128 << 20),
             stamp: 0,
         };
-        let posts = new.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, t| r.union(&t.posts));
-        let side = Side::new(new.declaration, posts, &samples);
+        let side = Side::new(declaration, new.head.own_posts(), &samples);
         let window = new.dirty.grow(1);
-        let bounds = new.declaration.frame.bounds(&window);
+        let bounds = declaration.frame.bounds(&window);
         let mut out = Vec::new();
         for other in Rules(&self.view).meeting(&bounds) {
             if other == new.survey {

@@ -32,7 +32,8 @@ impl RawTile<'_> {
     /// byte a post, as they were delivered.
     pub fn bands(&self, mut f: impl FnMut(usize, usize, &[u8], &[u8]) -> Result<()>) -> Result<()> {
         let posts = self.tile.posts;
-        let w = self.declaration.sample_type.bytes();
+        let sample_type = self.declaration.delivered().sample_type;
+        let w = sample_type.bytes();
         let view = &self.snapshot.view;
         let directory = view.directory(&self.tile.directory)?;
         let cols = self.cols();
@@ -46,7 +47,7 @@ impl RawTile<'_> {
                 let raw = decode(&view.files.page(&at)?, &file_name(at.file))?;
                 let (i0, j1) = (bi * BLOCK + raw.col as i64, bj * BLOCK + (raw.row + raw.rows) as i64);
                 let held = i0 >= posts.i0 && i0 + raw.cols as i64 <= posts.i1 && j1 <= j0 + rows as i64;
-                if raw.sample_type != self.declaration.sample_type || !held {
+                if raw.sample_type != sample_type || !held {
                     return Err(Error::corrupt(
                         file_name(at.file),
                         at.place(),

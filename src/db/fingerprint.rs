@@ -21,7 +21,7 @@ pub fn fingerprint(s: &Snapshot) -> Result<String> {
     h.put_text(s.policy().name());
     h.put_u8(s.unit().exponent as u8);
     for (name, value) in
-        super::database::constants_known().into_iter().filter(|(n, _)| *n != "format_version")
+        super::database::constants(s.kind()).into_iter().filter(|(n, _)| *n != "format_version")
     {
         h.put_text(name);
         h.put_text(&value);

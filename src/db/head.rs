@@ -23,6 +23,34 @@ pub struct Declaration {
     pub offset: f64,
     /// Stated accuracy, metres.
     pub accuracy_m: f64,
+    /// What heights count from (`EPSG:5703`, `ellipsoid`, a name); `None`: nobody said.
+    pub vertical_datum: Option<String>,
+    /// How the files were delivered, if in another system: the survey's own posts are resampled from theirs.
+    pub resampled: Option<Resampled>,
+}
+
+/// Samples that were delivered in another system than the database's (section 13 of the LOD-space specification).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resampled {
+    /// System of the files.
+    pub crs: String,
+    /// Lattice of the files; tiles are rectangles of it.
+    pub lattice: Lattice,
+    pub samples: Delivered,
+    /// Longitudes of the files are taken within half a turn of this one, a multiple of 90; 0 if they have none.
+    pub turn: f64,
+    /// What the user chose about the datums, as `DatumChoice` prints it.
+    pub datum: String,
+    /// What was done, in words.
+    pub operation: String,
+}
+
+/// Samples as they stand in the files: height in metres = sample * scale + offset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Delivered {
+    pub sample_type: SampleType,
+    pub scale: f64,
+    pub offset: f64,
 }
 
 /// Identity of a declaration: the first 16 bytes of a BLAKE3 hash of its bytes.
@@ -32,9 +60,7 @@ impl Declaration {
     fn put(&self, out: &mut impl Put) {
         out.put_text(&self.name);
         out.put_text(&self.crs);
-        for v in self.lattice.col_step.iter().chain(&self.lattice.row_step).chain(&self.lattice.phase) {
-            out.put_f64(*v);
-        }
+        put_lattice(out, &self.lattice);
         for p in [self.frame.anchor, self.frame.u, self.frame.v] {
             out.put_i64(p.x);
             out.put_i64(p.y);
@@ -45,27 +71,78 @@ impl Declaration {
         out.put_f64(self.accuracy_m);
         // Bound of the level-0 payload: samples are stored exactly.
         out.put_f64(0.0);
+        if self.is_plain() {
+            return;
+        }
+        out.put_text(self.vertical_datum.as_deref().unwrap_or_default());
+        out.put_u8(u8::from(self.resampled.is_some()));
+        if let Some(s) = &self.resampled {
+            out.put_text(&s.crs);
+            put_lattice(out, &s.lattice);
+            out.put_u8(s.samples.sample_type as u8);
+            out.put_f64(s.samples.scale);
+            out.put_f64(s.samples.offset);
+            out.put_f64(s.turn);
+            out.put_text(&s.datum);
+            out.put_text(&s.operation);
+        }
     }
 
-    fn read(r: &mut Reader) -> Result<Declaration> {
+    /// Whether format 1 can hold it: in the database's own system, nothing said of the vertical datum.
+    pub fn is_plain(&self) -> bool {
+        self.vertical_datum.is_none() && self.resampled.is_none()
+    }
+
+    /// The samples in the files.
+    pub fn delivered(&self) -> Delivered {
+        self.resampled.as_ref().map_or(
+            Delivered { sample_type: self.sample_type, scale: self.scale, offset: self.offset },
+            |r| r.samples,
+        )
+    }
+
+    /// The lattice of the files.
+    pub fn delivered_lattice(&self) -> &Lattice {
+        self.resampled.as_ref().map_or(&self.lattice, |r| &r.lattice)
+    }
+
+    /// The system of the files.
+    pub fn delivered_crs(&self) -> &str {
+        self.resampled.as_ref().map_or(&self.crs, |r| &r.crs)
+    }
+
+    fn read(r: &mut Reader, plain: bool) -> Result<Declaration> {
         let (name, crs) = (r.text()?, r.text()?);
-        let mut f = || r.f64();
-        let lattice = Lattice { col_step: [f()?, f()?], row_step: [f()?, f()?], phase: [f()?, f()?] };
+        let lattice = read_lattice(r)?;
         let mut p = || -> Result<Point> { Ok(Point::new(r.i64()?, r.i64()?)) };
         let frame = Frame { anchor: p()?, u: p()?, v: p()? };
-        let code = r.u8()?;
-        let sample_type = SampleType::from_code(code).ok_or_else(|| r.bad(format!("sample type {code}")))?;
-        let d = Declaration {
+        let Delivered { sample_type, scale, offset } = read_delivered(r)?;
+        let mut d = Declaration {
             name,
             crs,
             lattice,
             frame,
             sample_type,
-            scale: r.f64()?,
-            offset: r.f64()?,
+            scale,
+            offset,
             accuracy_m: r.f64()?,
+            vertical_datum: None,
+            resampled: None,
         };
         r.f64()?;
+        if !plain {
+            d.vertical_datum = Some(r.text()?).filter(|t| !t.is_empty());
+            if r.u8()? != 0 {
+                d.resampled = Some(Resampled {
+                    crs: r.text()?,
+                    lattice: read_lattice(r)?,
+                    samples: read_delivered(r)?,
+                    turn: r.f64()?,
+                    datum: r.text()?,
+                    operation: r.text()?,
+                });
+            }
+        }
         if d.frame.determinant() == 0 {
             return Err(r.bad("steps span no area"));
         }
@@ -83,6 +160,23 @@ impl Declaration {
     pub fn accuracy(&self) -> f32 {
         crate::base::round::up_f32(self.accuracy_m)
     }
+}
+
+fn put_lattice(out: &mut impl Put, l: &Lattice) {
+    for v in l.col_step.iter().chain(&l.row_step).chain(&l.phase) {
+        out.put_f64(*v);
+    }
+}
+
+fn read_lattice(r: &mut Reader) -> Result<Lattice> {
+    let mut f = || r.f64();
+    Ok(Lattice { col_step: [f()?, f()?], row_step: [f()?, f()?], phase: [f()?, f()?] })
+}
+
+fn read_delivered(r: &mut Reader) -> Result<Delivered> {
+    let code = r.u8()?;
+    let sample_type = SampleType::from_code(code).ok_or_else(|| r.bad(format!("sample type {code}")))?;
+    Ok(Delivered { sample_type, scale: r.f64()?, offset: r.f64()? })
 }
 
 /// One delivered file of a survey.
@@ -156,6 +250,10 @@ pub fn read_rect(r: &mut Reader) -> Result<CellRect> {
     Ok(c)
 }
 
+/// Kind of a head whose declaration is that of format 1, and of one with vertical datum and manner of delivery.
+const PLAIN: u8 = b'H';
+const DECLARED_IN_FULL: u8 = b'J';
+
 /// Everything a survey is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Head {
@@ -173,7 +271,7 @@ pub struct Head {
 impl Head {
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        out.put_u8(b'H');
+        out.put_u8(if self.declaration.is_plain() { PLAIN } else { DECLARED_IN_FULL });
         self.declaration.put(&mut out);
         out.put_u32(self.tiles.len() as u32);
         for t in &self.tiles {
@@ -189,10 +287,10 @@ impl Head {
     pub fn decode(bytes: &[u8], file: &str) -> Result<Head> {
         let mut r = Reader::new(bytes, file, "survey head");
         let kind = r.u8()?;
-        if kind != b'H' {
+        if kind != PLAIN && kind != DECLARED_IN_FULL {
             return Err(r.bad(format!("page kind {kind:#04x} is not a survey head")));
         }
-        let declaration = Declaration::read(&mut r)?;
+        let declaration = Declaration::read(&mut r, kind == PLAIN)?;
         let n = r.u32()? as usize;
         if n > r.remaining() / 64 {
             return Err(r.bad(format!("{n} tiles in {} bytes", r.remaining())));
@@ -220,20 +318,37 @@ impl Head {
         }
     }
 
-    /// The rectangle of posts that the tiles span.
+    /// The rectangle of delivered posts that the tiles span.
     pub fn posts(&self) -> CellRect {
         self.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, t| r.union(&t.posts))
+    }
+
+    /// The rectangle of the survey's own posts: the delivered ones, or, where they are resampled, those around the core.
+    pub fn own_posts(&self) -> CellRect {
+        let c = self.core;
+        match &self.declaration.resampled {
+            None => self.posts(),
+            Some(_) => CellRect::new(c.i0 - 1, c.j0 - 1, c.i1 + 2, c.j1 + 2),
+        }
     }
 
     pub fn valid(&self) -> u64 {
         self.tiles.iter().map(|t| t.valid).sum()
     }
 
-    /// Lowest and highest valid height.
+    /// Bounds of the heights of all posts: those of the samples, wider where cubic interpolation may overshoot.
     pub fn z(&self) -> [f64; 2] {
-        self.tiles
+        let [lo, hi] = self
+            .tiles
             .iter()
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |z, t| [z[0].min(t.z[0]), z[1].max(t.z[1])])
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |z, t| [z[0].min(t.z[0]), z[1].max(t.z[1])]);
+        // The absolute weights of Catmull-Rom sum to at most 1.25 in each axis.
+        let over = if self.declaration.resampled.is_some() {
+            (hi - lo) * (1.25 * 1.25 - 1.0) / 2.0 + hi.abs().max(lo.abs()) * 1e-7
+        } else {
+            0.0
+        };
+        [lo - over, hi + over]
     }
 }
 

@@ -2,9 +2,9 @@
 
 use super::change::{Call, Outcome};
 use super::commit::{Plan, Retiled};
-use super::database::Writing;
 use super::head::Tile;
 use super::root::SurveyEntry;
+use super::writing::Writing;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::store::segment::{PageRef, SegmentKind, SegmentWriter};
@@ -48,6 +48,7 @@ impl Writing {
                     declaration: head.declaration.clone(),
                     tiles: head.tiles.iter().filter(|k| k.key != t.key).cloned().collect(),
                     dirty: t.posts,
+                    compare: false,
                     dead: self.tile_pages(&t)?,
                     segment,
                     date: e.date,

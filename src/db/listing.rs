@@ -5,6 +5,7 @@ use super::head::hex;
 use super::view::{Rules, View};
 use crate::base::Result;
 use crate::base::lattice::{Point, Quad};
+use crate::height::frame::CellRect;
 use crate::height::lod::cover::kernel;
 use crate::height::lod::{Place, SurveyNumber};
 use serde::Serialize;
@@ -38,6 +39,23 @@ pub struct SurveyRow {
     pub frame: [[i64; 2]; 3],
     /// Index of the first post.
     pub first_post: [i64; 2],
+    /// What heights count from, if it was said.
+    pub vertical_datum: Option<String>,
+    /// How the files were delivered, if they were resampled.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub delivered: Option<DeliveredRow>,
+}
+
+/// Files in another system than the database's.
+#[derive(Clone, Debug, Serialize)]
+pub struct DeliveredRow {
+    pub crs: String,
+    pub cols: i64,
+    pub rows: i64,
+    pub step: [f64; 2],
+    pub sample_type: &'static str,
+    /// What was done about projection and datum.
+    pub operation: String,
 }
 
 /// The surveys of a version, in order of arrival.
@@ -46,8 +64,9 @@ pub fn surveys(s: &Snapshot) -> Result<Vec<SurveyRow>> {
         .map(|e| {
             let head = s.view.head(e.number)?;
             let d = &head.declaration;
-            let posts = head.posts();
-            let corners = crate::height::frame::CellRect::new(posts.i0, posts.j0, posts.i1 - 1, posts.j1 - 1);
+            let delivered = head.posts();
+            let posts = head.own_posts();
+            let corners = CellRect::new(posts.i0, posts.j0, posts.i1 - 1, posts.j1 - 1);
             let b = d.frame.bounds(&corners);
             let size = s.unit.size();
             let u = d.lattice.col_step;
@@ -77,6 +96,15 @@ pub fn surveys(s: &Snapshot) -> Result<Vec<SurveyRow>> {
                 valid_posts: head.valid(),
                 frame: [xy(d.frame.anchor), xy(d.frame.u), xy(d.frame.v)],
                 first_post: [posts.i0, posts.j0],
+                vertical_datum: d.vertical_datum.clone(),
+                delivered: d.resampled.as_ref().map(|r| DeliveredRow {
+                    crs: r.crs.clone(),
+                    cols: delivered.width(),
+                    rows: delivered.height(),
+                    step: r.lattice.nominal_steps(),
+                    sample_type: r.samples.sample_type.name(),
+                    operation: r.operation.clone(),
+                }),
             })
         })
         .collect()
@@ -168,7 +196,7 @@ pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
     use crate::store::quadtree::Node;
     let mut i = Info {
         path: db.path().display().to_string(),
-        format_version: super::database::FORMAT_VERSION,
+        format_version: db.format(),
         derivation_version: super::root::DERIVATION_VERSION,
         crs: s.crs.code.clone(),
         policy: s.policy.name(),

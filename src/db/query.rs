@@ -1,16 +1,19 @@
 //! Questions: which patches a region needs within a tolerance, what changed since, how high it is.
 
 use super::database::Snapshot;
+use super::seams::Fields;
+use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
 use crate::base::lattice::Bounds;
+use crate::base::polygon::Polygon;
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
 use crate::height::crs::AxisUnit;
-use crate::height::lod::cut::{Camera, Constant, Cut, Region};
+use crate::height::lod::cut::{Camera, Constant, Cut, ErrorRaster, Foci, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
-use crate::height::patch::Vertices;
+use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
-    Blend, Evaluation, Hood, How, KAPPA, Patch, Sheet, Source, Surface, SurveyField,
+    Blend, Evaluation, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
 use crate::store::quadtree::{Domains, Record, walk};
 use quick_cache::sync::Cache;
@@ -25,6 +28,10 @@ pub enum Tolerance {
     Constant(f64),
     /// Pixels on a screen.
     Camera(Camera),
+    /// Little around some places, more farther away.
+    Foci(Foci),
+    /// What a raster says, in the CRS of the database.
+    Raster(Arc<ErrorRaster>),
 }
 
 /// Where is asked, in the CRS of the database.
@@ -34,6 +41,8 @@ pub enum Area {
     Everything,
     /// xmin, ymin, xmax, ymax.
     Box([f64; 4]),
+    /// The inside of a polygon. Patches are those whose domain meets it; what is made of them is cut along it.
+    Polygon(Arc<Polygon>),
 }
 
 impl Area {
@@ -42,9 +51,33 @@ impl Area {
         match self {
             Area::Everything => None,
             Area::Box(b) => Some(*b),
+            Area::Polygon(p) => Some(p.bounds()),
         }
     }
+
+    /// Whether a point lies in it; borders belong to it.
+    pub fn contains(&self, p: [f64; 2]) -> bool {
+        match self {
+            Area::Everything => true,
+            Area::Box(b) => b[0] <= p[0] && p[0] <= b[2] && b[1] <= p[1] && p[1] <= b[3],
+            Area::Polygon(polygon) => polygon.contains(p),
+        }
+    }
+
+    /// A convex region around it; `None`: everything.
+    pub(super) fn convex(&self) -> Option<Region> {
+        let hull = match self {
+            Area::Polygon(p) => Region::hull(p.points().collect()),
+            _ => Region::from_box(self.bounds()?),
+        };
+        // A hull of many corners costs more than it spares.
+        let few = hull.polygon.len() <= HULL_CORNERS_MAX;
+        Some(if few { hull } else { Region::from_box(self.bounds()?) })
+    }
 }
+
+/// Corners of a convex region that is worth more than a box.
+const HULL_CORNERS_MAX: usize = 32;
 
 impl From<Option<[f64; 4]>> for Area {
     fn from(b: Option<[f64; 4]>) -> Area {
@@ -69,7 +102,7 @@ pub struct Selection {
     pub nodes: u64,
     /// Records that were looked at, those stored in several nodes counted each time.
     pub tested: u64,
-    /// The region that was meant: a convex polygon in CRS units.
+    /// The region that was meant: a convex polygon in CRS units, around the area that was asked.
     pub region: Region,
 }
 
@@ -130,15 +163,16 @@ impl Snapshot {
     }
 
     fn region(&self, query: &Query) -> Result<Region> {
-        let whole = match query.area.bounds() {
-            Some(b) => {
+        let whole = match query.area.convex() {
+            Some(region) => {
+                let b = region.bounds();
                 if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
                     return Err(Error::invalid(
                         "--bbox",
                         format!("{b:?} is empty; give xmin,ymin,xmax,ymax"),
                     ));
                 }
-                Region::from_box(b)
+                region
             }
             None => match self.bounds() {
                 // A hair larger, so that the border posts are in.
@@ -171,15 +205,40 @@ impl Snapshot {
         {
             return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
         }
-        self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)
+        let mut found = self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
+        if let Area::Polygon(polygon) = &query.area {
+            let (rules, size) = (Rules(&self.view), self.unit.size());
+            found.records.retain(|r| {
+                polygon.meets(&rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size]))
+            });
+        }
+        Ok(found)
     }
 
-    fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
+    /// The part of an area that the camera of a question sees.
+    pub(super) fn in_view(&self, query: &Query) -> Result<Area> {
+        if let Area::Polygon(_) = query.area {
+            return Err(Error::unsupported(
+                "GLB",
+                "what a camera sees is not cut along a polygon",
+                "give a --bbox in the database's CRS with the camera",
+            ));
+        }
+        let seen = Region::hull(self.region(query)?.polygon).polygon;
+        if seen.len() < 3 {
+            return Err(Error::invalid("--eye", "the camera sees nothing of the region"));
+        }
+        Ok(Area::Polygon(Arc::new(Polygon::new("view of the camera", vec![vec![seen]])?)))
+    }
+
+    pub(super) fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
         let z = self.z_range().unwrap_or([0.0; 2]);
         match tolerance {
             // Without bound means: the coarsest surface there is.
             Tolerance::Constant(c) => Box::new(Constant(c.min(f64::MAX))),
             Tolerance::Camera(c) => Box::new(c.over(z[0], z[1])),
+            Tolerance::Foci(f) => Box::new(f.clone().scaled(|p| metres_per_unit(self.crs.unit, p))),
+            Tolerance::Raster(r) => Box::new(r.clone()),
         }
     }
 
@@ -286,12 +345,20 @@ impl Snapshot {
                 floor: r.floor,
             })
             .collect();
-        let surface = Surface::new(origin, self.unit, fields, patches, how.blend);
+        let mut surface = Surface::new(self.kind(), origin, self.unit, fields, patches, how.blend);
+        surface.corrected = how.seams != Seams::Off;
         let data = Data {
             view: &self.view,
+            kind: self.kind(),
+            seams: Fields {
+                view: &self.view,
+                unit: self.unit,
+                axis: self.crs.unit,
+                consistent: how.seams == Seams::Consistent,
+            },
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
-            vertices: Cache::new(4096),
+            shapes: Cache::new(shapes_cached(self.kind())),
             hoods: Cache::new(65536),
         };
         Ground { snapshot: self, surface, cut, data, selection }
@@ -382,25 +449,39 @@ impl Snapshot {
     }
 }
 
+/// Patches that a surface keeps decoded: some 36 MB of either kind.
+fn shapes_cached(kind: Kind) -> usize {
+    match kind {
+        Kind::Bilinear => 4096,
+        Kind::Bicubic => 1024,
+    }
+}
+
 /// Where a surface gets its numbers: the tables of a version, cached.
 struct Data<'a> {
     view: &'a View,
+    kind: Kind,
+    seams: Fields<'a>,
     surveys: Vec<SurveyNumber>,
     patches: Vec<(usize, Place)>,
-    vertices: Cache<usize, Arc<Vertices>>,
+    shapes: Cache<usize, Arc<Shape>>,
     hoods: Cache<(usize, i32, i32), Arc<Hood>>,
 }
 
 impl Source for Data<'_> {
-    fn vertices(&self, patch: usize) -> Result<Arc<Vertices>> {
-        if let Some(v) = self.vertices.get(&patch) {
-            return Ok(v);
+    fn shape(&self, patch: usize) -> Result<Arc<Shape>> {
+        if let Some(s) = self.shapes.get(&patch) {
+            return Ok(s);
         }
         let (survey, place) = self.patches[patch];
-        let z = self.view.with_samples(self.surveys[survey], |r| r.vertices(place))?;
-        let z: Arc<Vertices> = Arc::from(z);
-        self.vertices.insert(patch, z.clone());
-        Ok(z)
+        let z = self.view.with_samples(self.surveys[survey], |r| r.vertices(self.kind, place))?;
+        let shape = Arc::new(Shape::new(self.kind, z));
+        self.shapes.insert(patch, shape.clone());
+        Ok(shape)
+    }
+
+    fn seam(&self, survey: usize, i: i32, j: i32) -> Result<Arc<seam::Field>> {
+        self.seams.field(self.surveys[survey], i, j)
     }
 
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>> {
@@ -461,6 +542,14 @@ impl Ground<'_> {
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
         let parts: Vec<Vec<Option<Evaluation>>> =
             points.par_chunks(2048).map(|c| self.sheet().slopes(c)).collect::<Result<_>>()?;
+        Ok(parts.into_iter().flatten().collect())
+    }
+
+    /// Heights with gradients and second derivatives, in parallel, for points of the region. Refused where patches are
+    /// bilinear.
+    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        let parts: Vec<Vec<Option<Evaluation>>> =
+            points.par_chunks(2048).map(|c| self.sheet().curvatures(c)).collect::<Result<_>>()?;
         Ok(parts.into_iter().flatten().collect())
     }
 

@@ -6,7 +6,8 @@ use crate::base::{Error, Result};
 use crate::height::block::{BLOCK, Heights, RawBlock, decode};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Place, SIDE};
-use crate::height::patch::Vertices;
+use crate::height::patch::{Kind, Vertices, bicubic};
+use crate::height::source::SampleType;
 use crate::store::segment::{PageRef, Pages, file_name};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
@@ -36,7 +37,30 @@ pub fn block_cache(bytes: u64) -> BlockCache {
 /// Finds the page of a sample block of a level above 0.
 pub type LevelBlocks<'a> = &'a (dyn Fn(u8, i64, i64) -> Result<Option<PageRef>> + Sync);
 
-/// The samples of one survey.
+/// Which posts or vertices of a survey are meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Layer {
+    /// Delivered samples, on the lattice of the files.
+    Delivered,
+    /// Vertices of a level, on the survey's own lattice; level 0 are its posts.
+    Level(u8),
+}
+
+/// Level by which blocks of delivered samples are told apart in the cache from those that were resampled from them.
+const DELIVERED: u8 = u8::MAX;
+
+/// What is read where there is no sample.
+#[derive(Clone, Copy, PartialEq)]
+enum Voids {
+    /// The fill; 0 where there is none.
+    AsStored,
+    /// NaN where there is no fill (which is stored as 0, so a fill of 0 counts as none); else the fill.
+    OpenAsNan,
+    AllAsNan,
+}
+
+/// The samples of one survey. Where it was delivered in another system, its posts are resampled ones: they are found like
+/// the levels above them, and the tiles hold what they were made of.
 pub struct SampleReader<'a> {
     pub pages: &'a dyn Pages,
     pub declaration: &'a Declaration,
@@ -49,10 +73,13 @@ pub struct SampleReader<'a> {
 }
 
 impl SampleReader<'_> {
-    /// A block as stored, of the survey's sample type.
+    /// A block of posts or vertices as stored, of the survey's sample type.
     pub fn raw(&self, at: &PageRef) -> Result<RawBlock> {
+        self.stored(at, self.declaration.sample_type)
+    }
+
+    fn stored(&self, at: &PageRef, declared: SampleType) -> Result<RawBlock> {
         let raw = decode(&self.pages.page(at)?, &file_name(at.file))?;
-        let declared = self.declaration.sample_type;
         if raw.sample_type != declared {
             return Err(Error::corrupt(
                 file_name(at.file),
@@ -63,81 +90,145 @@ impl SampleReader<'_> {
         Ok(raw)
     }
 
-    /// Raw blocks of the tiles at a level-0 block, least key first: laid in this order the greatest key wins.
-    pub fn tile_blocks(&self, bi: i64, bj: i64) -> Result<Vec<RawBlock>> {
+    /// Raw blocks of the tiles, least key first: laid in this order the greatest key wins.
+    fn tile_blocks(&self, bi: i64, bj: i64) -> Result<Vec<RawBlock>> {
+        let declared = self.declaration.delivered().sample_type;
         let mut out = Vec::new();
         for (_, directory) in self.tiles.iter().rev() {
             if let Some((at, _)) = directory.get(bi, bj) {
-                out.push(self.raw(&at)?);
+                out.push(self.stored(&at, declared)?);
             }
         }
         Ok(out)
     }
 
-    /// Valid samples that tiles hold in a level-0 block, counting overlaps twice: 0 means none.
-    pub fn valid_at_most(&self, bi: i64, bj: i64) -> u64 {
-        self.tiles.iter().filter_map(|(_, d)| d.get(bi, bj)).map(|(_, v)| u64::from(v)).sum()
+    /// Whether no tile holds a valid sample in a block of delivered samples.
+    fn tiles_are_void(&self, bi: i64, bj: i64) -> bool {
+        self.tiles.iter().filter_map(|(_, d)| d.get(bi, bj)).all(|(_, valid)| valid == 0)
     }
 
-    /// A decoded block. A block that does not exist is all void.
+    /// Raw blocks of posts (level 0), in the order in which they are laid.
+    pub fn post_blocks(&self, bi: i64, bj: i64) -> Result<Vec<RawBlock>> {
+        if self.declaration.resampled.is_none() {
+            return if self.tiles_are_void(bi, bj) { Ok(Vec::new()) } else { self.tile_blocks(bi, bj) };
+        }
+        (self.levels)(0, bi, bj)?.map(|at| self.raw(&at)).into_iter().collect()
+    }
+
+    /// Whether a block of posts (level 0) holds no valid sample.
+    pub fn is_void(&self, bi: i64, bj: i64) -> Result<bool> {
+        if self.declaration.resampled.is_none() {
+            return Ok(self.tiles_are_void(bi, bj));
+        }
+        Ok((self.levels)(0, bi, bj)?.is_none())
+    }
+
+    /// Whether no tile holds a valid sample near a rectangle of delivered posts: false may be wrong, true is not.
+    pub fn delivered_is_void(&self, r: &CellRect) -> bool {
+        let b = super::tile::blocks_of(r);
+        (b.j0..b.j1).all(|bj| (b.i0..b.i1).all(|bi| self.tiles_are_void(bi, bj)))
+    }
+
+    /// A decoded block of a level. A block that does not exist is all void.
     pub fn block(&self, level: u8, bi: i64, bj: i64) -> Result<Arc<Heights>> {
+        self.decoded(Layer::Level(level), bi, bj)
+    }
+
+    fn decoded(&self, layer: Layer, bi: i64, bj: i64) -> Result<Arc<Heights>> {
+        let level = match layer {
+            Layer::Delivered => DELIVERED,
+            Layer::Level(l) => l,
+        };
         let key = (self.stamp, level, bi, bj);
         if let Some(b) = self.cache.get(&key) {
             return Ok(b);
         }
-        let (scale, offset) = (self.declaration.scale, self.declaration.offset);
+        let d = self.declaration;
         let mut h = Heights::void();
-        if level == 0 {
-            for raw in self.tile_blocks(bi, bj)? {
-                h.lay(&raw, scale, offset);
+        match layer {
+            Layer::Delivered => {
+                let delivered = d.delivered();
+                for raw in self.tile_blocks(bi, bj)? {
+                    h.lay(&raw, delivered.scale, delivered.offset);
+                }
             }
-        } else if let Some(at) = (self.levels)(level, bi, bj)? {
-            h.lay(&self.raw(&at)?, scale, offset);
+            Layer::Level(0) => {
+                for raw in self.post_blocks(bi, bj)? {
+                    h.lay(&raw, d.scale, d.offset);
+                }
+            }
+            Layer::Level(l) => {
+                if let Some(at) = (self.levels)(l, bi, bj)? {
+                    h.lay(&self.raw(&at)?, d.scale, d.offset);
+                }
+            }
         }
         let h = Arc::new(h);
         self.cache.insert(key, h.clone());
         Ok(h)
     }
 
-    /// The 33 x 33 vertices of a patch.
-    pub fn vertices(&self, place: Place) -> Result<Box<Vertices>> {
+    /// The 33 x 33 vertices of a patch. A bicubic one has no open vertices: those that are void and have no fill are
+    /// given what the others of the patch suggest.
+    pub fn vertices(&self, kind: Kind, place: Place) -> Result<Box<Vertices>> {
         let mut z: Box<Vertices> =
             vec![0.0; SIDE * SIDE].into_boxed_slice().try_into().expect("SIDE x SIDE values");
         let d = place.domain();
         let (i0, j0) = (d.i0 >> place.level, d.j0 >> place.level);
-        self.copy(place.level, i0, j0, SIDE, SIDE, &mut z[..], false)?;
+        match kind {
+            Kind::Bilinear => {
+                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?
+            }
+            Kind::Bicubic => {
+                self.copy(Layer::Level(place.level), i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
+                let mut open = [false; SIDE * SIDE];
+                for (z, open) in z.iter_mut().zip(&mut open).filter(|(z, _)| z.is_nan()) {
+                    (*z, *open) = (0.0, true);
+                }
+                bicubic::extend(&mut z, &mut open);
+            }
+        }
         Ok(z)
     }
 
     /// A rectangle of posts (level 0), voids as NaN.
     pub fn posts(&self, r: &CellRect) -> Result<Vec<f64>> {
+        self.rectangle(Layer::Level(0), r)
+    }
+
+    /// A rectangle of delivered heights, voids as NaN.
+    pub fn delivered_posts(&self, r: &CellRect) -> Result<Vec<f64>> {
+        self.rectangle(Layer::Delivered, r)
+    }
+
+    fn rectangle(&self, layer: Layer, r: &CellRect) -> Result<Vec<f64>> {
         let (cols, rows) = (r.width() as usize, r.height() as usize);
         let mut z = vec![0.0; cols * rows];
-        self.copy(0, r.i0, r.j0, cols, rows, &mut z, true)?;
+        self.copy(layer, r.i0, r.j0, cols, rows, &mut z, Voids::AllAsNan)?;
         Ok(z)
     }
 
     /// One row of vertices of a level.
     pub fn line(&self, level: u8, i0: i64, j: i64, out: &mut [f64]) -> Result<()> {
         let n = out.len();
-        self.copy(level, i0, j, n, 1, out, false)
+        self.copy(Layer::Level(level), i0, j, n, 1, out, Voids::AsStored)
     }
 
     #[allow(clippy::too_many_arguments)]
     fn copy(
         &self,
-        level: u8,
+        layer: Layer,
         i0: i64,
         j0: i64,
         cols: usize,
         rows: usize,
         out: &mut [f64],
-        nan: bool,
+        voids: Voids,
     ) -> Result<()> {
         let (i1, j1) = (i0 + cols as i64, j0 + rows as i64);
         for bj in j0.div_euclid(BLOCK)..=(j1 - 1).div_euclid(BLOCK) {
             for bi in i0.div_euclid(BLOCK)..=(i1 - 1).div_euclid(BLOCK) {
-                let block = self.block(level, bi, bj)?;
+                let block = self.decoded(layer, bi, bj)?;
                 let (ci, cj) = (bi * BLOCK, bj * BLOCK);
                 let (a0, a1) = ((i0.max(ci) - ci) as usize, (i1.min(ci + BLOCK) - ci) as usize);
                 for j in j0.max(cj)..j1.min(cj + BLOCK) {
@@ -145,9 +236,11 @@ impl SampleReader<'_> {
                     let from = &block.z[b * N + a0..b * N + a1];
                     let at = (j - j0) as usize * cols + (ci + a0 as i64 - i0) as usize;
                     out[at..at + from.len()].copy_from_slice(from);
-                    if nan && let Some(v) = &block.valid {
+                    if voids != Voids::AsStored
+                        && let Some(v) = &block.valid
+                    {
                         for (o, v) in out[at..at + from.len()].iter_mut().zip(&v[b * N + a0..b * N + a1]) {
-                            if *v == 0 {
+                            if *v == 0 && (voids == Voids::AllAsNan || *o == 0.0) {
                                 *o = f64::NAN;
                             }
                         }
@@ -165,7 +258,7 @@ impl SampleReader<'_> {
         let mut bits = [0u32; 31];
         for bj in j0.div_euclid(BLOCK)..=(j0 + 30).div_euclid(BLOCK) {
             for bi in i0.div_euclid(BLOCK)..=(i0 + 30).div_euclid(BLOCK) {
-                if self.valid_at_most(bi, bj) == 0 {
+                if self.is_void(bi, bj)? {
                     continue;
                 }
                 let block = self.block(0, bi, bj)?;

@@ -75,7 +75,8 @@ pub fn write_tile(
     let info = source.info().clone();
     let posts = CellRect::new(first[0], first[1], first[0] + info.cols as i64, first[1] + info.rows as i64);
     let blocks = blocks_of(&posts);
-    let width = declaration.sample_type.bytes();
+    let delivered = declaration.delivered();
+    let width = delivered.sample_type.bytes();
     let cols = info.cols as usize;
     let mut hash = blake3::Hasher::new();
     hash.put(b"terraquilt tile 1");
@@ -110,7 +111,7 @@ pub fn write_tile(
             for (k, v) in s.valid.iter().enumerate() {
                 if *v != 0 {
                     valid_count += 1;
-                    let h = declaration.sample_type.value(&s.data[k * width..]);
+                    let h = delivered.sample_type.value(&s.data[k * width..]);
                     z = [z[0].min(h), z[1].max(h)];
                 }
             }
@@ -139,7 +140,7 @@ pub fn write_tile(
                     row: (posts.j0 + row0).rem_euclid(BLOCK) as usize,
                     cols: n,
                     rows,
-                    sample_type: declaration.sample_type,
+                    sample_type: delivered.sample_type,
                     samples,
                     valid: valid.contains(&0).then_some(valid),
                     fills: Vec::new(),
@@ -155,7 +156,7 @@ pub fn write_tile(
         mask.drain(..done);
         held_from = row1 as u64;
     }
-    let to_height = |v: f64| v * declaration.scale + declaration.offset;
+    let to_height = |v: f64| v * delivered.scale + delivered.offset;
     let (a, b) = (to_height(z[0]), to_height(z[1]));
     let directory = out.append(&Directory { blocks, pages }.encode())?;
     Ok(Tile {

@@ -143,6 +143,18 @@ impl Lattice {
         )
     }
 
+    /// A CRS position in post indices.
+    pub fn index(&self, p: [f64; 2]) -> [f64; 2] {
+        let (i, j) = self.position(p);
+        [i - self.phase[0], j - self.phase[1]]
+    }
+
+    /// The CRS position of a post.
+    pub fn post(&self, i: i64, j: i64) -> [f64; 2] {
+        let (i, j) = (i as f64 + self.phase[0], j as f64 + self.phase[1]);
+        [0, 1].map(|k| i * self.col_step[k] + j * self.row_step[k])
+    }
+
     /// The index of the file's first post on this lattice.
     ///
     /// # Errors

@@ -128,7 +128,7 @@ fn borders(world: &World, r: &mut Random, count: usize, ask: &Ask) -> Vec<([f64;
 
 /// A point of D_K where the tolerance is a multiple of the bottom or the top of a patch, and the direction that
 /// found it.
-fn fade(world: &World, r: &mut Random, ask: &Ask, multiples: &[f64]) -> Option<([f64; 2], [f64; 2])> {
+pub fn fade(world: &World, r: &mut Random, ask: &Ask, multiples: &[f64]) -> Option<([f64; 2], [f64; 2])> {
     let k = r.below(world.surveys.len() as u64) as usize;
     let ends = world.points(r, k, 2);
     let (&a, &b) = (ends.first()?, ends.get(1)?);

@@ -5,20 +5,21 @@
 //! Points nearer than 1e-6 cells to a border of core' may be taken for points beyond it, as coordinates are
 //! `f64`: there only what both sides promise is asked.
 
-mod continuity;
+pub mod continuity;
 mod equality;
 mod errors;
 mod gaps;
-mod reference;
-mod worlds;
+pub mod reference;
+pub mod worlds;
 
 use crate::support::{Random, seeds};
 use reference::World;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::surface::{Blend, Evaluation};
 use worlds::{Ask, asks};
 
 /// Heights of points for a tolerance, wherever a camera looks.
-fn heights(world: &World, ask: &Ask, points: &[[f64; 2]]) -> Vec<Option<Evaluation>> {
+pub fn heights(world: &World, ask: &Ask, points: &[[f64; 2]]) -> Vec<Option<Evaluation>> {
     match ask {
         Ask::Metres(_) => world.snapshot.surface(&ask.query(None)).unwrap().heights(points).unwrap(),
         Ask::Eye { .. } => world.snapshot.heights(points, &ask.tolerance(), Blend::Exact).unwrap(),
@@ -26,18 +27,22 @@ fn heights(world: &World, ask: &Ask, points: &[[f64; 2]]) -> Vec<Option<Evaluati
 }
 
 /// Random worlds: one to four surveys, holes, rotations, replacement.
-fn random_worlds(count: u64, posts: usize) -> impl Iterator<Item = (u64, Random, World)> {
+pub fn random_worlds(count: u64, posts: usize) -> impl Iterator<Item = (u64, Random, World)> {
+    random_worlds_of(Kind::Bilinear, count, posts)
+}
+
+pub fn random_worlds_of(kind: Kind, count: u64, posts: usize) -> impl Iterator<Item = (u64, Random, World)> {
     seeds(count).into_iter().map(move |seed| {
         let mut r = Random::new(seed + 31_000);
         let surveys = 1 + (seed as usize) % 4;
         println!("seed {seed}: {surveys} surveys");
-        let world = worlds::random(&mut r, surveys, posts);
+        let world = worlds::random(&mut r, surveys, posts, kind);
         (seed, r, world)
     })
 }
 
 /// Points of D_K of all surveys in turn, and some around them.
-fn scatter(world: &World, r: &mut Random, inside: usize, anywhere: usize) -> Vec<[f64; 2]> {
+pub fn scatter(world: &World, r: &mut Random, inside: usize, anywhere: usize) -> Vec<[f64; 2]> {
     let mut points: Vec<[f64; 2]> =
         (0..world.surveys.len()).flat_map(|k| world.points(r, k, inside / world.surveys.len())).collect();
     let Some(b) = world.snapshot.bounds() else { return points };

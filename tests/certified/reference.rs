@@ -2,11 +2,13 @@
 //! exact integer positions, every live patch tried at every point.
 
 use crate::oracle::overlay::{core_prime, faces};
+use crate::oracle::spline::{self, cardinal};
 use crate::oracle::survey::{Cells, core, error_up};
 use crate::oracle::{KERNEL, MARGIN, OracleSurvey};
 use crate::support::{Grid, Random};
 use std::sync::OnceLock;
 use terraquilt::db::{BoxRow, Snapshot, boxes, surveys};
+use terraquilt::height::patch::Kind;
 use terraquilt::height::surface::Blend;
 
 /// CRS units in a lattice unit, for coordinate systems in metres.
@@ -30,6 +32,7 @@ pub struct Survey {
     pub posts: OracleSurvey,
     /// e(G).
     pub e: f64,
+    smooth: bool,
     /// core'.
     pub kept: Cells,
     /// Cells of core', and those of them with a neighbour that is not.
@@ -45,9 +48,9 @@ pub struct Patch {
     pub top: f64,
     floor: bool,
     /// Posts from one vertex to the next.
-    stride: i64,
+    pub stride: i64,
     /// Index of the first post of the domain.
-    first: [i64; 2],
+    pub first: [i64; 2],
     vertices: OnceLock<Vec<f64>>,
 }
 
@@ -57,6 +60,8 @@ pub struct World {
     pub surveys: Vec<Survey>,
     pub patches: Vec<Patch>,
     pub z: [f64; 2],
+    /// Bicubic patches, weights of class C2.
+    smooth: bool,
 }
 
 impl Survey {
@@ -100,6 +105,7 @@ impl Survey {
             0 => 1.0,
             _ => part,
         };
+        let ramp = |offset: i64, part: f64| fade(self.smooth, ramp(offset, part));
         let out: f64 = self.around(s).map(|o| 1.0 - ramp(o[0], s.part[0]) * ramp(o[1], s.part[1])).product();
         (1.0 - out, out)
     }
@@ -153,6 +159,9 @@ impl Survey {
 impl Patch {
     fn vertices(&self, survey: &Survey) -> &[f64] {
         self.vertices.get_or_init(|| {
+            if survey.smooth {
+                return spline::vertices(&survey.posts, self.stride, self.first);
+            }
             (0..SIDE * SIDE)
                 .map(|n| {
                     let at = [n % SIDE, n / SIDE];
@@ -163,9 +172,27 @@ impl Patch {
     }
 }
 
-/// The ramp g of class C0.
-fn ramp(t: f64) -> f64 {
-    t.clamp(0.0, 1.0)
+impl Patch {
+    /// At a place in cells of the patch, from its first vertex.
+    pub fn at(&self, survey: &Survey, c: [f64; 2]) -> f64 {
+        let f = self.vertices(survey);
+        if survey.smooth {
+            return spline::at(f, &cardinal(c[0]), &cardinal(c[1]));
+        }
+        let at = c.map(|c| (c.floor() as i64).min(SIDE - 2));
+        let t = [c[0] - at[0] as f64, c[1] - at[1] as f64];
+        let corner = |a: i64, b: i64| f[((at[1] + b) * SIDE + at[0] + a) as usize];
+        corner(0, 0) * (1.0 - t[0]) * (1.0 - t[1])
+            + corner(1, 0) * t[0] * (1.0 - t[1])
+            + corner(0, 1) * (1.0 - t[0]) * t[1]
+            + corner(1, 1) * t[0] * t[1]
+    }
+}
+
+/// The ramp g, of class C0 or C2.
+fn fade(smooth: bool, t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    if smooth { 10.0 * t.powi(3) - 15.0 * t.powi(4) + 6.0 * t.powi(5) } else { t }
 }
 
 impl World {
@@ -173,6 +200,7 @@ impl World {
     /// kernels along borders.
     pub fn new(snapshot: Snapshot, grids: &[Grid], exact: bool) -> World {
         let rows = surveys(&snapshot).unwrap();
+        let smooth = snapshot.kind() == Kind::Bicubic;
         let posts: Vec<OracleSurvey> = rows
             .iter()
             .map(|r| {
@@ -232,10 +260,10 @@ impl World {
                     |c: &[i64; 2]| (-1..2).all(|b| (-1..2).all(|a| kept.contains([c[0] + a, c[1] + b])));
                 let rim = cells.iter().filter(|c| !inner(c)).copied().collect();
                 let e = f64::from(error_up(posts.accuracy, 0.0));
-                Survey { name: rows[k].name.clone(), number: number[k], posts, e, kept, cells, rim }
+                Survey { name: rows[k].name.clone(), number: number[k], posts, e, smooth, kept, cells, rim }
             })
             .collect();
-        World { snapshot, surveys, patches, z }
+        World { snapshot, surveys, patches, z, smooth }
     }
 
     pub fn range(&self) -> f64 {
@@ -256,6 +284,7 @@ impl World {
         let spots: Vec<Spot> = self.surveys.iter().map(|s| s.spot(p)).collect();
         let v: Vec<(f64, f64)> = self.surveys.iter().zip(&spots).map(|(s, at)| s.v(at)).collect();
         let kappa = 1.1;
+        let ramp = |t: f64| fade(self.smooth, t);
         let mut found = Vec::new();
         for (k, patch) in self.patches.iter().enumerate() {
             let (survey, spot) = (&self.surveys[patch.survey], &spots[patch.survey]);
@@ -266,9 +295,12 @@ impl World {
             if c.iter().any(|c| *c <= 0.0 || *c >= side) || v[patch.survey].0 <= 0.0 {
                 continue;
             }
-            let hat = |c: f64| 1.0 - (c - side / 2.0).abs() / (side / 2.0);
+            let bump = |c: f64| {
+                let x = (c - side / 2.0).abs() / (side / 2.0);
+                if self.smooth { 1.25 * (1.0 - x).powi(3) * (3.0 * x + 1.0) } else { 1.0 - x }
+            };
             let half = survey.posts.nominal_step.map(|s| s * r * side / 2.0);
-            let peak = hat(c[0]) * hat(c[1]) / (half[0] * half[1]);
+            let peak = bump(c[0]) * bump(c[1]) / (half[0] * half[1]);
             let weight = if blend == Blend::Plain {
                 if patch.bot <= z && z < patch.top { peak } else { 0.0 }
             } else {
@@ -291,15 +323,7 @@ impl World {
                 peak * v[patch.survey].0 * up * down
             };
             if weight > 0.0 {
-                let f = patch.vertices(survey);
-                let at = c.map(|c| (c.floor() as i64).min(SIDE - 2));
-                let t = [c[0] - at[0] as f64, c[1] - at[1] as f64];
-                let corner = |a: i64, b: i64| f[((at[1] + b) * SIDE + at[0] + a) as usize];
-                let f = corner(0, 0) * (1.0 - t[0]) * (1.0 - t[1])
-                    + corner(1, 0) * t[0] * (1.0 - t[1])
-                    + corner(0, 1) * (1.0 - t[0]) * t[1]
-                    + corner(1, 1) * t[0] * t[1];
-                found.push((k, weight, f));
+                found.push((k, weight, patch.at(survey, c)));
             }
         }
         let sum: f64 = found.iter().map(|(_, w, _)| w).sum();

@@ -8,6 +8,7 @@ use terraquilt::db::{Change, Db, Ingest, Options, Policy};
 use terraquilt::format;
 use terraquilt::height::crs::Crs;
 use terraquilt::height::lod::cut::Camera;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::Window;
 use terraquilt::height::surface::Blend;
 
@@ -75,8 +76,8 @@ pub fn asks(world: &World) -> Vec<Ask> {
 }
 
 /// A random world of `count` surveys, some of them replaced by others.
-pub fn random(r: &mut Random, count: usize, posts_max: usize) -> World {
-    let s = Scratch::new(Policy::Accuracy);
+pub fn random(r: &mut Random, count: usize, posts_max: usize, kind: Kind) -> World {
+    let s = Scratch::of(Policy::Accuracy, kind);
     let grids: Vec<Grid> = (0..count).map(|k| random_grid(r, &format!("s{k}"), posts_max)).collect();
     grids.iter().for_each(|g| {
         s.ingest(g);
@@ -110,23 +111,28 @@ const HELENS: [File; 6] = [
 ];
 
 pub fn kit(policy: Policy) -> Option<World> {
-    real(&KIT, 32611, policy)
+    kit_of(policy, Kind::Bilinear)
+}
+
+pub fn kit_of(policy: Policy, kind: Kind) -> Option<World> {
+    real(&KIT, 32611, policy, kind)
 }
 
 /// `leave_out`: the last files, whole craters, hide the domes.
 pub fn helens(policy: Policy, leave_out: usize) -> Option<World> {
-    real(&HELENS[..HELENS.len() - leave_out], 26910, policy)
+    real(&HELENS[..HELENS.len() - leave_out], 26910, policy, Kind::Bilinear)
 }
 
 /// One survey of the kit alone.
 pub fn holes_alone() -> Option<World> {
-    real(&KIT[1..2], 32611, Policy::Accuracy)
+    real(&KIT[1..2], 32611, Policy::Accuracy, Kind::Bilinear)
 }
 
-fn real(files: &[File], epsg: u32, policy: Policy) -> Option<World> {
+fn real(files: &[File], epsg: u32, policy: Policy, patch: Kind) -> Option<World> {
     let folder = tempfile::tempdir().unwrap();
-    let db = Db::create(&folder.path().join("db"), &Options { crs: Crs::from_epsg(epsg).unwrap(), policy })
-        .unwrap();
+    let db =
+        Db::create(&folder.path().join("db"), &Options { crs: Crs::from_epsg(epsg).unwrap(), policy, patch })
+            .unwrap();
     let mut grids = Vec::new();
     for (name, file, accuracy, date) in files {
         let path = shared(file)?;

@@ -10,19 +10,20 @@
 //!
 //! Geometry is exact (see [`exact`]): a face is kept iff its interior is not empty.
 //!
-//! [`check()`] compares a whole database; [`expected_tree`] rebuilds the logical tree of section 4.
+//! [`check()`] compares a whole database ([`check_splines()`] one with bicubic patches); [`expected_tree`] rebuilds the logical tree of section 4.
 
 pub mod check;
 pub mod exact;
 pub mod json;
 pub mod overlay;
+pub mod spline;
 pub mod survey;
 pub mod tree;
 
 #[cfg(test)]
 mod selftest;
 
-pub use check::check;
+pub use check::{check, check_splines};
 pub use json::parse_boxes;
 pub use tree::{Node, expected_tree};
 

@@ -38,7 +38,7 @@ impl Cells {
     }
 }
 
-fn sample(survey: &OracleSurvey, i: i64, j: i64) -> Option<f64> {
+pub fn sample(survey: &OracleSurvey, i: i64, j: i64) -> Option<f64> {
     let (i, j) = (i - survey.first[0], j - survey.first[1]);
     let within = (0..survey.cols as i64).contains(&i) && (0..survey.rows as i64).contains(&j);
     if within { survey.heights[j as usize * survey.cols + i as usize] } else { None }
@@ -85,9 +85,11 @@ pub fn area(survey: &OracleSurvey, level: u32) -> f64 {
 
 /// Height of a vertex of stride `r`: its sample, else the mean of the valid ones nearer than `r`, else 0.
 fn vertex(survey: &OracleSurvey, r: i64, i: i64, j: i64) -> f64 {
-    if let Some(height) = sample(survey, i, j) {
-        return height;
-    }
+    sample(survey, i, j).or_else(|| mean_near(survey, r, i, j)).unwrap_or(0.0)
+}
+
+/// The mean, as stored, of the valid samples nearer than `r` to a post in both axes.
+pub fn mean_near(survey: &OracleSurvey, r: i64, i: i64, j: i64) -> Option<f64> {
     let range = |at: i64, axis: usize, posts: usize| {
         let first = survey.first[axis];
         (at - r + 1).max(first)..(at + r).min(first + posts as i64)
@@ -101,7 +103,7 @@ fn vertex(survey: &OracleSurvey, r: i64, i: i64, j: i64) -> f64 {
             }
         }
     }
-    if count == 0 { 0.0 } else { f64::from((sum / f64::from(count)) as f32) }
+    (count > 0).then(|| f64::from((sum / f64::from(count)) as f32))
 }
 
 /// Largest distance of a valid sample in the closed domain from the patch. Level 0 is exact.

@@ -1,5 +1,8 @@
 //! What several subjects need: sources in memory, databases in temporary folders, the program itself.
 
+/// A disk whose power can be cut.
+pub mod power;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::AtomicBool;
@@ -7,6 +10,7 @@ use terraquilt::base::Result;
 use terraquilt::base::date::Date;
 use terraquilt::db::{Change, Db, Ingest, Options, Outcome, Policy, Progress};
 use terraquilt::height::crs::Crs;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::{Affine, HeightSource, SampleType, Samples, SourceInfo, Window};
 
 /// A small generator (xorshift64*): seeds are printed and can be passed back with TERRAQUILT_SEED.
@@ -79,6 +83,11 @@ impl Grid {
     }
 
     pub fn source(&self) -> Box<dyn HeightSource> {
+        self.source_in("EPSG:32610")
+    }
+
+    /// The same file, said to be in another system.
+    pub fn source_in(&self, crs: &str) -> Box<dyn HeightSource> {
         Box::new(GridSource {
             info: SourceInfo {
                 file: format!("{}-{}-{}.mem", self.name, self.affine.origin[0], self.affine.origin[1]),
@@ -87,10 +96,12 @@ impl Grid {
                 rows: self.rows as u64,
                 sample_type: SampleType::F32,
                 affine: Some(self.affine),
-                crs: Some(Crs::from_epsg(32610).unwrap()),
+                crs: Some(Crs::parse(crs).unwrap()),
                 nodata: Some(f64::NAN),
                 scale: 1.0,
                 offset: 0.0,
+                vertical_datum: None,
+                vertical_unit_m: None,
                 accuracy_m: None,
                 product: None,
                 notes: Vec::new(),
@@ -112,8 +123,11 @@ impl Grid {
             accuracy_m: Some(self.accuracy),
             date: self.date,
             precedence: self.precedence,
-            vertical_unit_m: 1.0,
-            assume_crs: false,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: Default::default(),
+            step: None,
             lattice: None,
         }
     }
@@ -215,8 +229,12 @@ pub struct Scratch {
 
 impl Scratch {
     pub fn new(policy: Policy) -> Scratch {
+        Scratch::of(policy, Kind::Bilinear)
+    }
+    /// With patches of a kind.
+    pub fn of(policy: Policy, patch: Kind) -> Scratch {
         let folder = tempfile::tempdir().unwrap();
-        let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy };
+        let options = Options { crs: Crs::from_epsg(32610).unwrap(), policy, patch };
         let db = Db::create(&folder.path().join("db"), &options).unwrap();
         Scratch { db, folder }
     }

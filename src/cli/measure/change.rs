@@ -1,6 +1,6 @@
 //! Between two states of the ground: volume, difference.
 
-use super::{PICTURE_SIDE, Picture, ending, metered, no_format, question, size_of, step, write_raster};
+use super::{PICTURE_SIDE, Picture, ending, metered, no_format, size_of, step, write_raster};
 use crate::analysis::{self, Grid, Terrain, Volumes};
 use crate::base::{Error, Result};
 use crate::cli::args::{Region, ToleranceArgs};
@@ -8,6 +8,7 @@ use crate::cli::output::{Meter, Output, stop_flag};
 use crate::db::query::Query;
 use crate::db::{Db, Progress, Snapshot};
 use crate::format::colour_map::Ramp;
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -117,7 +118,8 @@ impl Volume {
     pub fn run(self) -> Result<bool> {
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = question(&self.between.region, &self.between.tolerance)?;
+        let place = self.between.region.place(&states[1])?;
+        let query = self.between.tolerance.query(&place, &states[1], Seams::Off)?;
         let c = self.between.compare(&states, &query, None, |_, go| go(&mut |_, _| Ok(())))?;
         let mut out = Output::new();
         if self.json {
@@ -186,7 +188,9 @@ impl Difference {
         };
         let db = Db::open(&self.db)?;
         let states = self.between.states(&db)?;
-        let query = question(&self.between.region, &self.between.tolerance)?;
+        let place = self.between.region.place(&states[1])?;
+        super::stays(&place, &states[1]);
+        let query = self.between.tolerance.query(&place, &states[1], Seams::Off)?;
         let picture = Picture { ramp: Ramp::Diverging, range, unit: "m", legend: true };
         let mut size = [0; 2];
         let c = self.between.compare(&states, &query, png.then_some(PICTURE_SIDE), |grid, go| {

@@ -2,10 +2,13 @@
 
 use crate::analysis::{self, End, SightOptions, Terrain, Verdict, line_length_m};
 use crate::base::{Error, Result};
-use crate::cli::args::{Source, ToleranceArgs, numbers};
+use crate::cli::args::{CoordsArg, Source, ToleranceArgs, numbers};
 use crate::cli::output::Output;
+use crate::cli::place::Coords;
+use crate::db::Snapshot;
 use crate::db::query::{Area, Query};
 use crate::format::geojson::read_line;
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -23,7 +26,9 @@ pub struct Profile {
     source: Source,
     #[command(flatten)]
     tolerance: ToleranceArgs,
-    /// Vertices of the line, in the database's CRS
+    #[command(flatten)]
+    coords: CoordsArg,
+    /// Vertices of the line; it is straight between them in the database's CRS
     #[arg(
         long,
         value_name = "X,Y",
@@ -32,7 +37,7 @@ pub struct Profile {
         conflicts_with = "line_file"
     )]
     line: Vec<String>,
-    /// A GeoJSON file with one LineString in the database's CRS
+    /// A GeoJSON file with one LineString, in the same coordinates
     #[arg(long, value_name = "FILE.geojson")]
     line_file: Option<PathBuf>,
     /// Metres between points, at most; default: the step of the finest survey there
@@ -41,8 +46,19 @@ pub struct Profile {
 }
 
 /// The surface that is asked at points of its own: a region has no part in it.
-fn terrain<'a>(s: &'a crate::db::Snapshot, tolerance: &ToleranceArgs) -> Result<Terrain<'a>> {
-    Terrain::new(s, &Query { area: Area::Everything, tolerance: tolerance.get()?, how: tolerance.how() })
+fn terrain<'a>(s: &'a Snapshot, tolerance: &ToleranceArgs, coords: Option<&Coords>) -> Result<Terrain<'a>> {
+    let how = tolerance.how(Seams::Off);
+    Terrain::new(s, &Query { area: Area::Everything, tolerance: tolerance.get(s, coords)?, how })
+}
+
+/// A point as it was given, in the database's CRS.
+fn inside(coords: Option<&Coords>, what: &str, p: [f64; 2]) -> Result<[f64; 2]> {
+    coords.map_or(Ok(p), |c| c.inside(what, p))
+}
+
+/// A point of the answer, in the coordinates that were asked for.
+fn outside(coords: Option<&Coords>, p: [f64; 2]) -> [f64; 2] {
+    coords.and_then(|c| c.outward(p)).unwrap_or(p)
 }
 
 impl Profile {
@@ -52,7 +68,13 @@ impl Profile {
             Some(f) => read_line(f)?,
             None => self.line.iter().map(|t| numbers("--line", t)).collect::<Result<Vec<[f64; 2]>>>()?,
         };
-        let found = analysis::profile(&terrain(&s, &self.tolerance)?, &line, self.step)?;
+        let coords = self.coords.get(&s)?;
+        let coords = coords.as_ref();
+        let line = line.into_iter().map(|p| inside(coords, "--line", p)).collect::<Result<Vec<_>>>()?;
+        let mut found = analysis::profile(&terrain(&s, &self.tolerance, coords)?, &line, self.step)?;
+        for p in &mut found {
+            [p.x, p.y] = outside(coords, [p.x, p.y]);
+        }
         let mut out = Output::new();
         if self.source.json {
             out.json(&json!({"length_m": line_length_m(&found), "points": found}))?;
@@ -81,6 +103,8 @@ pub struct SightCommand {
     source: Source,
     #[command(flatten)]
     tolerance: ToleranceArgs,
+    #[command(flatten)]
+    coords: CoordsArg,
     /// One end; H: metres above the ground, 1.7 if left out
     #[arg(long, value_name = "X,Y[,H]", allow_hyphen_values = true)]
     from: String,
@@ -113,10 +137,15 @@ pub struct SightCommand {
 impl SightCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let (from, to) = (self.end("--from", &self.from)?, self.end("--to", &self.to)?);
+        let coords = self.coords.get(&s)?;
+        let coords = coords.as_ref();
+        let (from, to) = (self.end("--from", &self.from, coords)?, self.end("--to", &self.to, coords)?);
         let options =
             SightOptions { step_m: self.step, refraction: self.curvature.then_some(self.refraction) };
-        let found = analysis::sight(&terrain(&s, &self.tolerance)?, from, to, options)?;
+        let mut found = analysis::sight(&terrain(&s, &self.tolerance, coords)?, from, to, options)?;
+        for r in found.rays.iter_mut().chain(&mut found.closest).chain(&mut found.obstruction) {
+            [r.x, r.y] = outside(coords, [r.x, r.y]);
+        }
         let mut out = Output::new();
         if self.source.json {
             out.json(&found)?;
@@ -173,7 +202,7 @@ impl SightCommand {
         out.end()
     }
 
-    fn end(&self, name: &str, t: &str) -> Result<End> {
+    fn end(&self, name: &str, t: &str, coords: Option<&Coords>) -> Result<End> {
         let (at, height) = match t.matches(',').count() {
             1 if self.absolute => {
                 return Err(Error::invalid(name, format!("'{t}': --absolute needs X,Y,HEIGHT")));
@@ -184,6 +213,6 @@ impl SightCommand {
                 ([x, y], h)
             }
         };
-        Ok(End { at, height, absolute: self.absolute })
+        Ok(End { at: inside(coords, name, at)?, height, absolute: self.absolute })
     }
 }

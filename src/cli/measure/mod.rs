@@ -13,12 +13,13 @@ pub use line::{Profile, SightCommand};
 pub use region::{ContoursCommand, StatisticsCommand};
 pub use shape::{Aspect, Hillshade, Slope};
 
-use super::args::{Region, ToleranceArgs, numbers};
+use super::args::numbers;
 use super::export::write_whole;
-use super::output::{Meter, bytes, stop_flag};
+use super::output::{Meter, bytes, message, stop_flag};
+use super::place::Place;
 use crate::analysis::Grid;
 use crate::base::{Error, Result};
-use crate::db::query::Query;
+use crate::db::Snapshot;
 use crate::format::colour_map::{ColourMap, Ramp, write_colour_map};
 use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use crate::height::crs::Crs;
@@ -31,11 +32,6 @@ use std::sync::atomic::Ordering;
 /// Cells along the longer side of a picture.
 const PICTURE_SIDE: usize = 1600;
 
-/// The question that the arguments of a command ask of a version.
-fn question(region: &Region, tolerance: &ToleranceArgs) -> Result<Query> {
-    tolerance.query(region)
-}
-
 /// `--step X` or `X,Y` in CRS units.
 fn step(text: Option<&str>) -> Result<Option<[f64; 2]>> {
     match text {
@@ -45,6 +41,17 @@ fn step(text: Option<&str>) -> Result<Option<[f64; 2]>> {
             let [x] = numbers("--step", t)?;
             Ok(Some([x, x]))
         }
+    }
+}
+
+/// Says that a raster is not written in the coordinates that the region was given in.
+fn stays(place: &Place, s: &Snapshot) {
+    if let Some(c) = &place.coords {
+        message(&format!(
+            "note: the region is read in {}; the raster is in the database's {}",
+            c.crs.code,
+            s.crs().code
+        ));
     }
 }
 

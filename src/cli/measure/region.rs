@@ -1,12 +1,13 @@
 //! Over a region: statistics, contours.
 
-use super::{ending, metered, no_format, question, size_of, step};
+use super::{ending, metered, no_format, size_of, step};
 use crate::analysis::{self, Grid, Levels, Terrain};
 use crate::base::Result;
 use crate::cli::args::{Region, Source, ToleranceArgs};
 use crate::cli::export::write_whole;
 use crate::cli::output::{Output, count};
 use crate::format::geojson::{FeatureWriter, Shape};
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::{Map, json};
 use std::path::PathBuf;
@@ -35,7 +36,7 @@ pub struct StatisticsCommand {
 impl StatisticsCommand {
     pub fn run(self) -> Result<bool> {
         let (_, s) = self.source.open()?;
-        let query = question(&self.region, &self.tolerance)?;
+        let query = self.tolerance.query(&self.region.place(&s)?, &s, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let f = metered("heights", |going| analysis::statistics(&terrain, &grid, going))?;
@@ -97,7 +98,8 @@ impl ContoursCommand {
             return Err(no_format(&self.out, ".geojson"));
         }
         let (_, s) = self.source.open()?;
-        let query = question(&self.region, &self.tolerance)?;
+        let place = self.region.place(&s)?;
+        let query = self.tolerance.query(&place, &s, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let levels = Levels { interval: self.interval, base: self.base };
@@ -107,10 +109,15 @@ impl ContoursCommand {
         extras.insert("error_m".into(), json!(found.error_m));
         extras.insert("step".into(), json!(grid.step));
         write_whole(&self.out, |p| {
-            let mut out = FeatureWriter::new(super::create(p)?, s.crs(), extras)?;
+            let crs = place.coords.as_ref().map_or(s.crs(), |c| &c.crs);
+            let mut out = FeatureWriter::new(super::create(p)?, crs, extras)?;
             for l in &found.lines {
+                let points: Vec<[f64; 2]> = match &place.coords {
+                    None => l.points.clone(),
+                    Some(c) => l.points.iter().filter_map(|p| c.outward(*p)).collect(),
+                };
                 let properties = json!({"elevation": l.elevation, "error_m": l.error_m, "closed": l.closed});
-                out.feature(Shape::Line(&l.points), &properties)?;
+                out.feature(Shape::Line(&points), &properties)?;
             }
             out.finish().map(|_| ())
         })?;

@@ -1,14 +1,14 @@
 //! The ground's shape as a raster: slope, aspect, hillshade.
 
 use super::{
-    PICTURE_SIDE, Picture, common, ending, metered, no_format, question, size_of, step, write_picture,
-    write_raster,
+    PICTURE_SIDE, Picture, common, ending, metered, no_format, size_of, step, write_picture, write_raster,
 };
 use crate::analysis::{Grid, Shape, Spot, Sun, Terrain};
 use crate::base::{Error, Result};
 use crate::cli::args::{Region, Source, ToleranceArgs};
 use crate::cli::output::Output;
 use crate::format::colour_map::Ramp;
+use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -120,7 +120,9 @@ impl Drawn {
             _ => return Err(no_format(&self.out, ".tif or .png")),
         };
         let (_, s) = self.source.open()?;
-        let query = question(&self.region, &self.tolerance)?;
+        let place = self.region.place(&s)?;
+        super::stays(&place, &s);
+        let query = self.tolerance.query(&place, &s, Seams::Off)?;
         let terrain = Terrain::new(&s, &query)?;
         let side = png.then_some(PICTURE_SIDE);
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, side)?;

@@ -1,12 +1,15 @@
 //! Evaluating the surface: which patches reach a point, their weights, their blend.
 
-use super::{Dual, Hood, KAPPA, Real, outside};
-use crate::base::Result;
+use super::buckets::Buckets;
+use super::seam::Field;
+use super::{Dual, Hood, Jet, KAPPA, Real, outside};
 use crate::base::lattice::Point;
+use crate::base::round::add_up;
+use crate::base::{Error, Result};
 use crate::height::frame::{Frame, LatticeUnit};
 use crate::height::lod::cut::Cut;
 use crate::height::lod::{Geometry, KERNEL, MARGIN, PatchId, Place};
-use crate::height::patch::{Vertices, evaluate};
+use crate::height::patch::{Kind, Shape};
 use std::sync::Arc;
 
 /// How patches are blended.
@@ -28,6 +31,16 @@ pub enum Seams {
     All,
     /// The same, by no more than the two stated accuracies allow; the rest stays a step.
     Consistent,
+}
+
+impl Seams {
+    pub fn name(self) -> &'static str {
+        match self {
+            Seams::Off => "off",
+            Seams::All => "all",
+            Seams::Consistent => "consistent",
+        }
+    }
 }
 
 /// How a surface is made of its patches.
@@ -73,10 +86,12 @@ pub struct Patch {
 
 /// Where heights and cells come from.
 pub trait Source: Sync {
-    /// The vertices of the n-th patch of the surface.
-    fn vertices(&self, patch: usize) -> Result<Arc<Vertices>>;
+    /// The n-th patch of the surface, ready to be evaluated.
+    fn shape(&self, patch: usize) -> Result<Arc<Shape>>;
     /// Cells of core' around a level-0 block of the n-th survey.
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>>;
+    /// The correction of the n-th survey over a level-0 block.
+    fn seam(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Field>>;
 }
 
 /// What the surface is at a point.
@@ -85,13 +100,16 @@ pub struct Evaluation {
     pub z: f64,
     /// Height metres per CRS unit, by x and y (0 unless asked for).
     pub gradient: [f64; 2],
+    /// Height metres per squared CRS unit, by xx, xy and yy (0 unless asked for).
+    pub hessian: [f64; 3],
     /// Largest error of the contributing patches, metres.
     pub error_m: f64,
     /// Stated accuracy of the best survey there, metres.
     pub accuracy_m: f64,
     /// False in the rim outside every core: the height is given, its error is not promised.
     pub certified: bool,
-    /// What the correction of seams added (section 15), metres; `z - correction_m` is the surface without it.
+    /// What the correction of seams added (section 15), metres; `z - correction_m` is the surface without it: bit for bit
+    /// where the two are within a factor of two, else up to the last bit of the larger.
     pub correction_m: f64,
     /// The correction comes from surveys that contradict each other: it is invented ground.
     pub contradiction: bool,
@@ -99,95 +117,16 @@ pub struct Evaluation {
 
 /// A selected set of patches over a region, ready to be evaluated.
 pub struct Surface {
+    /// What lies between vertices; weights and fades are as smooth.
+    pub kind: Kind,
     origin: [f64; 2],
     pub surveys: Vec<SurveyField>,
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
     pub blend: Blend,
+    /// Surveys are bent towards better ones along their borders.
+    pub corrected: bool,
     index: Buckets,
-}
-
-/// Which patches may contain a point: a uniform grid of lists, about two squares a patch.
-struct Buckets {
-    min: [f64; 2],
-    per_unit: [f64; 2],
-    count: [usize; 2],
-    /// Ends of the lists, row by row; the lists themselves, each ascending.
-    ends: Vec<u32>,
-    lists: Vec<u32>,
-}
-
-impl Buckets {
-    /// `boxes`: xmin, ymin, xmax, ymax of each patch.
-    fn new(boxes: &[[f64; 4]]) -> Buckets {
-        let b = boxes
-            .iter()
-            .fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |b, x| {
-                [b[0].min(x[0]), b[1].min(x[1]), b[2].max(x[2]), b[3].max(x[3])]
-            });
-        if boxes.is_empty() {
-            return Buckets {
-                min: [0.0; 2],
-                per_unit: [0.0; 2],
-                count: [0; 2],
-                ends: Vec::new(),
-                lists: Vec::new(),
-            };
-        }
-        let (w, h) = ((b[2] - b[0]).max(1e-12), (b[3] - b[1]).max(1e-12));
-        let squares = (2 * boxes.len()).clamp(1, 1 << 20) as f64;
-        let nx = ((squares * w / h).sqrt().ceil().clamp(1.0, squares)) as usize;
-        let ny = ((squares / nx as f64).ceil().clamp(1.0, squares)) as usize;
-        let mut grid = Buckets {
-            min: [b[0], b[1]],
-            per_unit: [nx as f64 / w, ny as f64 / h],
-            count: [nx, ny],
-            ends: vec![0; nx * ny],
-            lists: Vec::new(),
-        };
-        let spans: Vec<([usize; 2], [usize; 2])> =
-            boxes.iter().map(|x| (grid.square([x[0], x[1]]), grid.square([x[2], x[3]]))).collect();
-        for (lo, hi) in &spans {
-            for y in lo[1]..=hi[1] {
-                for x in lo[0]..=hi[0] {
-                    grid.ends[y * nx + x] += 1;
-                }
-            }
-        }
-        let mut total = 0;
-        for e in &mut grid.ends {
-            total += *e;
-            *e = total - *e;
-        }
-        grid.lists = vec![0; total as usize];
-        for (k, (lo, hi)) in spans.iter().enumerate() {
-            for y in lo[1]..=hi[1] {
-                for x in lo[0]..=hi[0] {
-                    let at = &mut grid.ends[y * nx + x];
-                    grid.lists[*at as usize] = k as u32;
-                    *at += 1;
-                }
-            }
-        }
-        grid
-    }
-
-    fn square(&self, p: [f64; 2]) -> [usize; 2] {
-        [0, 1].map(|k| {
-            let t = (p[k] - self.min[k]) * self.per_unit[k];
-            (t.max(0.0) as usize).min(self.count[k].saturating_sub(1))
-        })
-    }
-
-    fn at(&self, p: [f64; 2]) -> &[u32] {
-        if self.ends.is_empty() {
-            return &[];
-        }
-        let s = self.square(p);
-        let k = s[1] * self.count[0] + s[0];
-        let from = if k == 0 { 0 } else { self.ends[k - 1] };
-        &self.lists[from as usize..self.ends[k] as usize]
-    }
 }
 
 /// Surface, tolerance and data together: what can be asked for heights.
@@ -232,6 +171,7 @@ impl SurveyField {
 impl Surface {
     /// Patches must be those of the needed set of the region (any superset gives the same surface).
     pub fn new(
+        kind: Kind,
         origin: [f64; 2],
         unit: LatticeUnit,
         surveys: Vec<SurveyField>,
@@ -256,7 +196,7 @@ impl Surface {
             })
             .collect();
         let index = Buckets::new(&boxes);
-        Surface { origin, surveys, patches, blend, index }
+        Surface { kind, origin, surveys, patches, blend, corrected: false, index }
     }
 }
 
@@ -272,14 +212,18 @@ struct At<T> {
 pub(super) struct Scratch {
     /// Per survey: the block met last.
     hoods: Vec<Option<MetHood>>,
-    /// Vertices met lately, by patch number modulo their count.
-    last: Vec<Option<(u32, Arc<Vertices>)>>,
+    /// Patches met lately, by number modulo their count.
+    last: Vec<Option<(u32, Arc<Shape>)>>,
     /// Weights and errors of the contributors at the point.
-    shares: Vec<(f64, f32)>,
+    shares: Vec<(f64, f64)>,
+    /// Per survey: the block of its correction met last.
+    seams: Vec<Option<MetField>>,
 }
 
 /// Indices of a level-0 block, and its cells.
 type MetHood = ((i32, i32), Arc<Hood>);
+/// Indices of a level-0 block, and the correction there.
+type MetField = ((i32, i32), Arc<Field>);
 
 /// An evaluation, and who contributed: patch number and weight.
 pub type Explained = (Evaluation, Vec<(usize, f64)>);
@@ -287,7 +231,7 @@ pub type Explained = (Evaluation, Vec<(usize, f64)>);
 /// Shares of the sum of weights below this are rounding: such a patch does not count as a contributor.
 const SHARE_MIN: f64 = 1e-12;
 
-/// Patches whose vertices a thread keeps at hand.
+/// Patches that a thread keeps at hand.
 const LATELY: usize = 64;
 /// Surveys whose state at a point needs no allocation.
 const FEW: usize = 8;
@@ -303,6 +247,19 @@ impl Sheet<'_> {
         self.each(points, |s, p| self.evaluate::<Dual>(p, s, None))
     }
 
+    /// Heights with analytic gradients and second derivatives. Refused where patches are bilinear: their surface has
+    /// kinks, and between them no bend of the ground.
+    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        if self.surface.kind == Kind::Bilinear {
+            return Err(Error::unsupported(
+                "curvature",
+                "the patches of this database are bilinear: their surface has kinks instead of curvature",
+                "make a database with `terraquilt init DB --patch bicubic` and ingest the surveys there",
+            ));
+        }
+        self.each(points, |s, p| self.evaluate::<Jet>(p, s, None))
+    }
+
     /// A height and who contributed to it: patch number and normalised weight, largest first.
     pub fn explain(&self, p: [f64; 2]) -> Result<Option<Explained>> {
         let mut who = Vec::new();
@@ -313,6 +270,16 @@ impl Sheet<'_> {
         who.iter_mut().for_each(|(_, w)| *w /= sum);
         who.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         Ok(Some((e, who)))
+    }
+
+    /// The correction of a survey of the surface at a point, metres: what is added to each of its patches there.
+    pub fn correction_of(&self, survey: usize, p: [f64; 2]) -> Result<f64> {
+        if !self.surface.corrected {
+            return Ok(0.0);
+        }
+        let local = [0, 1].map(|k| p[k] - self.surface.origin[k]);
+        let index: [f64; 2] = self.surface.surveys[survey].index(local);
+        Ok(self.correction(survey, index, self.cut.at(p), &mut Scratch::default())?.0)
     }
 
     fn each(
@@ -346,7 +313,16 @@ impl Sheet<'_> {
         };
         let x = index[0] - T::constant(block[0] * KERNEL as f64);
         let y = index[1] - T::constant(block[1] * KERNEL as f64);
-        Ok(At { index, outside: outside(&hood, x, y) })
+        Ok(At { index, outside: outside(&hood, self.surface.kind, x, y) })
+    }
+
+    fn tolerance<T: Real>(&self, p: [f64; 2]) -> T {
+        let z = self.cut.at(p);
+        match T::ORDER {
+            0 => T::constant(z),
+            1 => T::with_hessian(z, self.cut.gradient(p), [0.0; 3]),
+            _ => T::with_hessian(z, self.cut.gradient(p), self.cut.hessian(p)),
+        }
     }
 
     fn evaluate<T: Real>(
@@ -365,14 +341,13 @@ impl Sheet<'_> {
             many.resize(surface.surveys.len(), None);
             &mut many
         };
-        let tolerance = {
-            let g = self.cut.gradient(point);
-            T::with_gradient(self.cut.at(point), g[0], g[1])
-        };
+        let tolerance = self.tolerance::<T>(point);
+        let volume = surface.kind.volume();
         let mut weights = T::constant(0.0);
         let mut sum = T::constant(0.0);
         let mut reference = None;
-        let mut error = f32::NEG_INFINITY;
+        let mut error = f64::NEG_INFINITY;
+        let mut seams = Corrections::new(surface);
         s.shares.clear();
         let mut accuracy = f32::INFINITY;
         for &k in near {
@@ -391,15 +366,16 @@ impl Sheet<'_> {
             let cell = |k: usize, first: i64| (here.index[k] - T::constant(first as f64)).scale(1.0 / r);
             let (a, b) = (cell(0, domain.i0), cell(1, domain.j0));
             let half = (KERNEL / 2 + MARGIN) as f64;
-            let hat = |c: T| {
+            let bump = |c: T| {
                 let t = c.scale(1.0 / half) - T::constant(1.0);
-                if t.value() < 0.0 { T::constant(1.0) + t } else { T::constant(1.0) - t }
+                let inwards = if t.value() < 0.0 { T::constant(1.0) + t } else { T::constant(1.0) - t };
+                inwards.bump(surface.kind)
             };
-            let (wa, wb) = (hat(a), hat(b));
+            let (wa, wb) = (bump(a), bump(b));
             if wa.value() <= 0.0 || wb.value() <= 0.0 {
                 continue;
             }
-            let mut weight = (wa * wb).scale(1.0 / (survey.half[0] * r * (survey.half[1] * r)));
+            let mut weight = (wa * wb).scale(volume / (survey.half[0] * r * (survey.half[1] * r)));
             if surface.blend == Blend::Exact {
                 let level = self.level::<T>(patch, tolerance, p, s, at)?;
                 if level.value() <= 0.0 {
@@ -412,18 +388,22 @@ impl Sheet<'_> {
             }
             s.last.resize(LATELY, None);
             let slot = &mut s.last[k as usize % LATELY];
-            let z = match slot {
-                Some((n, z)) if *n == k => z,
-                _ => &slot.insert((k, self.source.vertices(k as usize)?)).1,
+            let shape = match slot {
+                Some((n, shape)) if *n == k => shape,
+                _ => &slot.insert((k, self.source.shape(k as usize)?)).1,
             };
-            let (f, fa, fb) = evaluate(z, a.value(), b.value());
-            let (ga, gb) = (a.gradient(), b.gradient());
-            let f = T::with_gradient(f, fa * ga[0] + fb * gb[0], fa * ga[1] + fb * gb[1]);
+            let f = T::of_patch(shape.at(a.value(), b.value()), a, b);
             // Sums are taken relative to the first height: no digits are lost on high ground.
             let zero = *reference.get_or_insert(f.value());
             weights = weights + weight;
             sum = sum + weight * (f - T::constant(zero));
-            s.shares.push((weight.value(), patch.bot));
+            let mut bound = f64::from(patch.bot);
+            if surface.corrected {
+                let c = seams.of(self, patch.survey, here.index, tolerance, s)?;
+                seams.sum = seams.sum + weight * c;
+                bound = add_up(bound, c.value().abs());
+            }
+            s.shares.push((weight.value(), bound));
             accuracy = accuracy.min(survey.accuracy);
             if let Some(w) = who.as_deref_mut() {
                 w.push((k as usize, weight.value()));
@@ -449,15 +429,40 @@ impl Sheet<'_> {
                 best = best.min(survey.accuracy);
             }
         }
+        let (mut z, mut correction_m) = (zero + f.value(), 0.0);
+        let (mut gradient, mut hessian) = (f.gradient(), f.hessian());
+        if surface.corrected {
+            let c = seams.sum / weights;
+            let plain = z;
+            z += c.value();
+            correction_m = z - plain;
+            gradient = [0, 1].map(|k| gradient[k] + c.gradient()[k]);
+            hessian = [0, 1, 2].map(|k| hessian[k] + c.hessian()[k]);
+        }
         Ok(Some(Evaluation {
-            z: zero + f.value(),
-            gradient: f.gradient(),
-            error_m: f64::from(error),
+            z,
+            gradient,
+            hessian,
+            error_m: error,
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
-            correction_m: 0.0,
-            contradiction: false,
+            correction_m,
+            contradiction: seams.contradiction,
         }))
+    }
+
+    /// The correction of a survey at a point of its index space, and whether contradicting surveys made it.
+    fn correction<T: Real>(&self, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<(T, bool)> {
+        let block = index.map(|c| (c.value() / KERNEL as f64).floor());
+        let key = (block[0] as i32, block[1] as i32);
+        s.seams.resize(self.surface.surveys.len(), None);
+        let slot = &mut s.seams[survey];
+        let field = match slot {
+            Some((k, f)) if *k == key => &*f,
+            _ => &slot.insert((key, self.source.seam(survey, key.0, key.1)?)).1,
+        };
+        let [x, y] = [0, 1].map(|k| index[k] - T::constant(block[k] * KERNEL as f64));
+        Ok(field.at(x, y, z, |t: T| t.ramp(self.surface.kind)))
     }
 
     /// up' dn: how much of a patch is there at a tolerance.
@@ -469,12 +474,12 @@ impl Sheet<'_> {
         s: &mut Scratch,
         at: &mut [Option<At<T>>],
     ) -> Result<T> {
-        let one = T::constant(1.0);
+        let (one, kind) = (T::constant(1.0), self.surface.kind);
         let (bot, top) = (f64::from(patch.bot), f64::from(patch.top));
         let down = if top.is_infinite() {
             one
         } else {
-            one - (z - T::constant(top)).scale(1.0 / ((KAPPA - 1.0) * top)).ramp()
+            one - (z - T::constant(top)).scale(1.0 / ((KAPPA - 1.0) * top)).ramp(kind)
         };
         if down.value() <= 0.0 {
             return Ok(down);
@@ -482,7 +487,7 @@ impl Sheet<'_> {
         let mut up = if bot == 0.0 || z.value().is_infinite() {
             one
         } else {
-            (z - T::constant(bot)).scale(1.0 / ((KAPPA - 1.0) * bot)).ramp()
+            (z - T::constant(bot)).scale(1.0 / ((KAPPA - 1.0) * bot)).ramp(kind)
         };
         if patch.floor && up.value() < 1.0 {
             let mut mask = one;
@@ -501,5 +506,32 @@ impl Sheet<'_> {
             up = up + (one - up) * mask;
         }
         Ok(up * down)
+    }
+}
+
+/// The corrections at one point: by survey, and their weighted sum.
+struct Corrections<T> {
+    few: [Option<T>; FEW],
+    many: Vec<Option<T>>,
+    sum: T,
+    contradiction: bool,
+}
+
+impl<T: Real> Corrections<T> {
+    fn new(surface: &Surface) -> Corrections<T> {
+        let n = surface.surveys.len();
+        let many = if surface.corrected && n > FEW { vec![None; n] } else { Vec::new() };
+        Corrections { few: [None; FEW], many, sum: T::constant(0.0), contradiction: false }
+    }
+
+    /// The correction of a survey that contributes.
+    fn of(&mut self, sheet: &Sheet, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<T> {
+        let slot = if self.many.is_empty() { &mut self.few[survey] } else { &mut self.many[survey] };
+        if let Some(c) = slot {
+            return Ok(*c);
+        }
+        let (c, contradicted) = sheet.correction(survey, index, z, s)?;
+        self.contradiction |= contradicted;
+        Ok(*slot.insert(c))
     }
 }

@@ -3,6 +3,7 @@
 use super::Real;
 use crate::height::cells::Block;
 use crate::height::lod::KERNEL;
+use crate::height::patch::Kind;
 
 /// The cells of core' of one level-0 block and of the ring of one cell around it.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,7 +46,7 @@ impl Hood {
 
 /// 1 - v at a point: `x`, `y` in cells from the block's corner, `0 <= x, y <= 28`. Exactly 0 on core', exactly 1 from
 /// one cell away; complements are multiplied, so no digit is lost near core'.
-pub fn outside<T: Real>(hood: &Hood, x: T, y: T) -> T {
+pub fn outside<T: Real>(hood: &Hood, kind: Kind, x: T, y: T) -> T {
     match hood {
         Hood::Empty => return T::constant(1.0),
         Hood::Full => return T::constant(0.0),
@@ -60,8 +61,9 @@ pub fn outside<T: Real>(hood: &Hood, x: T, y: T) -> T {
     }
     let one = T::constant(1.0);
     // Complement of the ramp towards a neighbour: 0 on the shared side, 1 one cell away.
-    let away_x = [fx, T::constant(0.0), one - fx];
-    let away_y = [fy, T::constant(0.0), one - fy];
+    let ease = |t: T| if kind == Kind::Bilinear { t } else { t.ramp(kind) };
+    let away_x = [ease(fx), T::constant(0.0), ease(one - fx)];
+    let away_y = [ease(fy), T::constant(0.0), ease(one - fy)];
     let mut product = one;
     for (m, ay) in away_y.iter().enumerate() {
         for (k, ax) in away_x.iter().enumerate() {
@@ -78,6 +80,8 @@ pub fn outside<T: Real>(hood: &Hood, x: T, y: T) -> T {
 mod tests {
     use super::*;
 
+    const LINEAR: Kind = Kind::Bilinear;
+
     #[test]
     fn v_is_one_on_core_and_fades_over_one_cell() {
         let mut b = Block::EMPTY;
@@ -85,12 +89,12 @@ mod tests {
         let mut blocks = [Block::EMPTY; 9];
         blocks[4] = b;
         let h = Hood::of(&blocks);
-        assert_eq!(outside(&h, 10.5, 10.5), 0.0);
-        assert_eq!(outside(&h, 11.0, 10.5), 0.0);
-        assert_eq!(outside(&h, 11.25, 10.5), 0.25);
-        assert_eq!(outside(&h, 12.0, 10.5), 1.0);
-        assert_eq!(outside(&h, 11.5, 11.5), 0.75);
-        assert_eq!(outside(&h, 20.0, 20.0), 1.0);
+        assert_eq!(outside(&h, LINEAR, 10.5, 10.5), 0.0);
+        assert_eq!(outside(&h, LINEAR, 11.0, 10.5), 0.0);
+        assert_eq!(outside(&h, LINEAR, 11.25, 10.5), 0.25);
+        assert_eq!(outside(&h, LINEAR, 12.0, 10.5), 1.0);
+        assert_eq!(outside(&h, LINEAR, 11.5, 11.5), 0.75);
+        assert_eq!(outside(&h, LINEAR, 20.0, 20.0), 1.0);
     }
 
     #[test]
@@ -98,11 +102,25 @@ mod tests {
         let mut blocks = [Block::EMPTY; 9];
         blocks[3] = Block::FULL;
         let h = Hood::of(&blocks);
-        assert_eq!(outside(&h, 0.0, 5.0), 0.0);
+        assert_eq!(outside(&h, LINEAR, 0.0, 5.0), 0.0);
         // On the line between two cells of the neighbour, half a cell away: 1/2 for each of them.
-        assert_eq!(outside(&h, 0.5, 5.0), 0.25);
-        assert_eq!(outside(&h, 1.5, 5.0), 1.0);
+        assert_eq!(outside(&h, LINEAR, 0.5, 5.0), 0.25);
+        assert_eq!(outside(&h, LINEAR, 1.5, 5.0), 1.0);
         assert_eq!(Hood::of(&[Block::FULL; 9]), Hood::Full);
         assert_eq!(Hood::of(&[Block::EMPTY; 9]), Hood::Empty);
+    }
+
+    #[test]
+    fn smooth_ramps_are_zero_on_core_and_nowhere_else() {
+        let mut b = Block::EMPTY;
+        b.0[10] = 1 << 10;
+        let mut blocks = [Block::EMPTY; 9];
+        blocks[4] = b;
+        let h = Hood::of(&blocks);
+        let at = |x: f64, y: f64| outside(&h, Kind::Bicubic, x, y);
+        assert_eq!((at(10.5, 10.5), at(11.0, 10.5), at(10.0, 11.0)), (0.0, 0.0, 0.0));
+        assert_eq!((at(11.5, 10.5), at(12.0, 10.5), at(11.5, 11.5)), (0.5, 1.0, 0.75));
+        let hair = at(11.0 + 1e-9, 10.5);
+        assert!(hair > 0.0 && hair < 1.1e-26);
     }
 }

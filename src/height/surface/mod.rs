@@ -5,21 +5,27 @@
 //! weight(P, p, z) = W(p) v(p) up'(p, z) dn(z)        F(p, z) = sum weight f / sum weight      surface(p) = F(p, tolerance(p))
 //! ```
 //!
-//! - W: the hat of the paper with unit volume over the patch's domain, `w(x/dx) w(y/dy) / (dx dy)`;
+//! - W: with unit volume over the patch's domain, `k w(x/dx) w(y/dy) / (dx dy)`: in bilinear databases the hat of the
+//!   paper and k = 1, in bicubic ones `w(t) = (1-|t|)^3 (3|t| + 1)` and k = 25/16 (section 7);
 //! - v: 1 on core' of the patch's survey, 0 from one cell away ([`hood`]);
-//! - up, dn: fade in above bot, fade out above top, over a ratio of [`KAPPA`];
+//! - up, dn: fade in above bot, fade out above top, over a ratio of [`KAPPA`], linear or of class C2 ([`Real::ramp`]);
 //! - up': a floor patch stays in wherever no better survey is.
 //!
+//! In a bicubic database every factor and every patch is of class C2, so the surface is, too, wherever the tolerance is;
+//! gradient and second derivatives come from the same formula, evaluated in numbers that carry them ([`Real`]).
+//!
 //! Where a cell of core' holds p, every contributor has `bot <= max(tolerance, best)`: theorem T7.
-//! An additive correction per survey (section 15) has its place in [`Evaluation::correction_m`]; it is 0 so far.
+//! Where surveys disagree, a correction per survey may be added to its patches (section 15): [`seam`].
 
+mod buckets;
 mod eval;
 mod hood;
 mod real;
+pub mod seam;
 
 pub use eval::{Blend, Evaluation, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
 pub use hood::{Hood, outside};
-pub use real::{Dual, Real};
+pub use real::{Dual, Jet, Real};
 
 /// Ratio over which weights fade in and out along the error axis.
 pub const KAPPA: f64 = 1.1;

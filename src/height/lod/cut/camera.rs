@@ -183,10 +183,39 @@ impl Cut for Camera {
         let f = self.forward;
         [dx * f[0] + dy * f[1], dx * f[1] - dy * f[0]]
     }
+
+    /// In w and rho the second derivatives of tau w^2 / B, B = D rho + tau s w, are `q (rho^2, -w rho, w^2)` with
+    /// q = 2 tau D^2 / B^3. There is a kink on the line where the depth is clamped, and a point under the eye.
+    fn hessian(&self, p: [f64; 2]) -> [f64; 3] {
+        let (x, y) = self.local(p);
+        let s = self.pitch_sin.abs();
+        let w = self.depth(x);
+        let w_x = if w > self.near { self.pitch_cos } else { 0.0 };
+        let rho = x.hypot(s * y);
+        let below = self.focal * rho + self.pixels * s * w;
+        if below <= 0.0 || rho <= 0.0 {
+            return [0.0; 3];
+        }
+        let (rho_x, rho_y) = (x / rho, s * s * y / rho);
+        let bend = s * s / (rho * rho * rho);
+        let q = 2.0 * self.pixels * self.focal * self.focal / (below * below * below);
+        let by_rho = -self.pixels * w * w * self.focal / (below * below);
+        let (along, across) = (rho * w_x - w * rho_x, -w * rho_y);
+        let xx = q * along * along + by_rho * bend * y * y;
+        let xy = q * along * across - by_rho * bend * x * y;
+        let yy = q * across * across + by_rho * bend * x * x;
+        // x = dx f0 + dy f1, y = dx f1 - dy f0.
+        let f = self.forward;
+        [
+            xx * f[0] * f[0] + 2.0 * xy * f[0] * f[1] + yy * f[1] * f[1],
+            (xx - yy) * f[0] * f[1] + xy * (f[1] * f[1] - f[0] * f[0]),
+            xx * f[1] * f[1] - 2.0 * xy * f[0] * f[1] + yy * f[0] * f[0],
+        ]
+    }
 }
 
 /// Distance of the origin from a convex polygon (0 inside).
-fn distance_to_origin(p: &[[f64; 2]]) -> f64 {
+pub(super) fn distance_to_origin(p: &[[f64; 2]]) -> f64 {
     let n = p.len();
     let (mut left, mut right) = (false, false);
     let mut least = f64::INFINITY;
@@ -279,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn gradient_is_the_derivative() {
+    fn gradient_and_hessian_are_the_derivatives() {
         let c = Camera::new([10.0, 20.0, 900.0], [500.0, 300.0, 200.0], 50.0, [800, 600], 2.0, None)
             .unwrap()
             .over(0.0, 100.0);
@@ -292,6 +321,11 @@ mod tests {
                 b[k] += h;
                 let d = (c.at(b) - c.at(a)) / (2.0 * h);
                 assert!((d - g[k]).abs() < 1e-7 * d.abs().max(1e-3), "{d} {g:?}");
+                let (ga, gb) = (c.gradient(a), c.gradient(b));
+                for m in 0..2 {
+                    let (d, found) = ((gb[m] - ga[m]) / (2.0 * h), c.hessian(p)[k + m]);
+                    assert!((d - found).abs() < 1e-6 * d.abs().max(1e-6), "{d} {found}");
+                }
             }
         }
     }

@@ -1,9 +1,15 @@
 //! Tolerance surfaces: how much error is allowed where. Predicates only; the tree does not know which is which.
 
 mod camera;
+mod foci;
+mod raster;
 mod region;
+#[cfg(test)]
+mod testing;
 
 pub use camera::Camera;
+pub use foci::{Foci, Focus};
+pub use raster::ErrorRaster;
 pub use region::{Region, bounds};
 
 /// A tolerance over the plane, metres (section 5.2 of the LOD-space specification).
@@ -14,6 +20,8 @@ pub trait Cut: Sync {
     fn at(&self, p: [f64; 2]) -> f64;
     /// Its derivatives by x and y there.
     fn gradient(&self, p: [f64; 2]) -> [f64; 2];
+    /// Its second derivatives by xx, xy and yy there; where it has a kink, those of one side.
+    fn hessian(&self, p: [f64; 2]) -> [f64; 3];
 }
 
 /// The same tolerance everywhere.
@@ -29,5 +37,8 @@ impl Cut for Constant {
     }
     fn gradient(&self, _: [f64; 2]) -> [f64; 2] {
         [0.0; 2]
+    }
+    fn hessian(&self, _: [f64; 2]) -> [f64; 3] {
+        [0.0; 3]
     }
 }

@@ -1,0 +1,282 @@
+//! Bicubic patches: the natural tensor-product cubic spline through the 33 x 33 vertices (section 7 of the LOD-space
+//! specification).
+//!
+//! A natural cubic spline on whole numbers is a cubic on each interval, twice continuously differentiable, with second
+//! derivative 0 at both ends. It is held as values and second derivatives at the knots, from which an interval is
+//!
+//! ```text
+//! f(x) = p + (q - p) x - h ((1 + u) m + (1 + x) n)      u = 1 - x,  h = (x u) / 6  (times the rounded 1/6)
+//! ```
+//!
+//! with values p, q and second derivatives m, n at its ends. The patch is the spline along t of the splines along s, in
+//! either order. Every patch has its own ends: two patches of a level need not agree where they overlap, and its error
+//! is measured for itself.
+
+use super::{Local, Vertices, cell};
+use crate::height::lod::SIDE;
+
+/// Value, second derivatives by s and by t, and their mixed one, by ss and tt, at a vertex.
+type Knot = [f64; 4];
+
+/// A bicubic patch.
+pub struct Spline(Box<[Knot]>);
+
+/// Pivots of the elimination below: 1 / (4 - the one before).
+const PIVOTS: [f64; SIDE - 1] = {
+    let mut p = [0.0; SIDE - 1];
+    let mut k = 1;
+    while k < SIDE - 1 {
+        p[k] = 1.0 / (4.0 - p[k - 1]);
+        k += 1;
+    }
+    p
+};
+
+const SIXTH: f64 = 1.0 / 6.0;
+
+/// Second derivatives of the natural spline through 33 values: m[k-1] + 4 m[k] + m[k+1] = 6 (second difference), solved
+/// by elimination from the first to the last, and back.
+fn second_derivatives(z: &[f64; SIDE]) -> [f64; SIDE] {
+    let mut m = [0.0; SIDE];
+    for k in 1..SIDE - 1 {
+        let d = 6.0 * ((z[k + 1] - z[k]) - (z[k] - z[k - 1]));
+        m[k] = (d - m[k - 1]) * PIVOTS[k];
+    }
+    for k in (1..SIDE - 1).rev() {
+        m[k] -= PIVOTS[k] * m[k + 1];
+    }
+    m
+}
+
+/// One interval at x: values and second derivatives at its ends.
+#[inline]
+fn value(x: f64, p: f64, q: f64, m: f64, n: f64) -> f64 {
+    let u = 1.0 - x;
+    let h = (x * u) * SIXTH;
+    (p + (q - p) * x) - h * ((1.0 + u) * m + (1.0 + x) * n)
+}
+
+/// Its derivative.
+#[inline]
+fn slope(x: f64, p: f64, q: f64, m: f64, n: f64) -> f64 {
+    let u = 1.0 - x;
+    (q - p) + SIXTH * ((3.0 * x * x - 1.0) * n - (3.0 * u * u - 1.0) * m)
+}
+
+/// Its second derivative.
+#[inline]
+fn bend(x: f64, m: f64, n: f64) -> f64 {
+    m + (n - m) * x
+}
+
+impl Spline {
+    pub fn new(z: &Vertices) -> Spline {
+        let mut knots: Box<[Knot]> = z.iter().map(|z| [*z, 0.0, 0.0, 0.0]).collect();
+        // Along s for the values; then along t for both.
+        for b in 0..SIDE {
+            let row = std::array::from_fn(|a| knots[b * SIDE + a][0]);
+            for (a, m) in second_derivatives(&row).into_iter().enumerate() {
+                knots[b * SIDE + a][1] = m;
+            }
+        }
+        for of in [0, 1] {
+            for a in 0..SIDE {
+                let column = std::array::from_fn(|b| knots[b * SIDE + a][of]);
+                for (b, m) in second_derivatives(&column).into_iter().enumerate() {
+                    knots[b * SIDE + a][of + 2] = m;
+                }
+            }
+        }
+        Spline(knots)
+    }
+
+    /// At (s, t) in cells from the first vertex, `0 <= s, t <= 32`: along t first, then along s.
+    #[inline]
+    pub fn evaluate(&self, s: f64, t: f64) -> Local {
+        let ((a, x), (b, y)) = (cell(s), cell(t));
+        let at = b * SIDE + a;
+        let (low, high) = (&self.0[at..at + 2], &self.0[at + SIDE..at + SIDE + 2]);
+        // Value and second derivative by s of the two columns, and their first two derivatives by t.
+        let column = |k: usize, of: usize, f: fn(f64, f64, f64, f64, f64) -> f64| {
+            f(y, low[k][of], high[k][of], low[k][of + 2], high[k][of + 2])
+        };
+        let bent = |k: usize, of: usize| bend(y, low[k][of + 2], high[k][of + 2]);
+        let [p, q, m, n] = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(k, of)| column(k, of, value));
+        let [pt, qt, mt, nt] = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(k, of)| column(k, of, slope));
+        let [ptt, qtt, mtt, ntt] = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(k, of)| bent(k, of));
+        Local {
+            z: value(x, p, q, m, n),
+            first: [slope(x, p, q, m, n), value(x, pt, qt, mt, nt)],
+            second: [bend(x, m, n), slope(x, pt, qt, mt, nt), value(x, ptt, qtt, mtt, ntt)],
+        }
+    }
+
+    /// The spline along s at a fixed t: at `y` in the row of cells `b`. The same bits as [`Spline::evaluate`].
+    pub fn line(&self, b: usize, y: f64) -> Line {
+        let (low, high) = (&self.0[b * SIDE..][..SIDE], &self.0[(b + 1) * SIDE..][..SIDE]);
+        let along = |of: usize| {
+            std::array::from_fn(|a| value(y, low[a][of], high[a][of], low[a][of + 2], high[a][of + 2]))
+        };
+        Line { values: along(0), bends: along(1) }
+    }
+}
+
+/// A spline along s: values and second derivatives at its 33 knots.
+pub struct Line {
+    values: [f64; SIDE],
+    bends: [f64; SIDE],
+}
+
+impl Line {
+    /// At `x` in cell `a`.
+    #[inline]
+    pub fn at(&self, a: usize, x: f64) -> f64 {
+        value(x, self.values[a], self.values[a + 1], self.bends[a], self.bends[a + 1])
+    }
+}
+
+/// The eight neighbours of a vertex, row by row.
+const AROUND: [(i32, i32); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
+
+/// Gives heights to the vertices that have neither a sample nor a fill (`open`), so that the spline does not swing at
+/// the edge of the data.
+///
+/// In rounds, from the known vertices outwards: an open vertex next to known ones gets the mean of what they say, in
+/// the order of [`AROUND`]; a neighbour says its own height plus half its rise from the vertex beyond it, if that one is
+/// known. So slopes halve with each round and nothing runs away. Where nothing is known at all, heights stay as they are.
+pub fn extend(z: &mut Vertices, open: &mut [bool; SIDE * SIDE]) {
+    if open.iter().all(|o| *o) {
+        return;
+    }
+    let side = SIDE as i32;
+    let number = |a: i32, b: i32| {
+        ((0..side).contains(&a) && (0..side).contains(&b)).then_some((b * side + a) as usize)
+    };
+    while open.iter().any(|o| *o) {
+        let mut found = Vec::new();
+        for k in (0..SIDE * SIDE).filter(|k| open[*k]) {
+            let (a, b) = ((k % SIDE) as i32, (k / SIDE) as i32);
+            let (mut sum, mut count) = (0.0, 0);
+            for (da, db) in AROUND {
+                let Some(near) = number(a + da, b + db).filter(|n| !open[*n]) else { continue };
+                let beyond = number(a + 2 * da, b + 2 * db).filter(|n| !open[*n]);
+                sum += z[near] + beyond.map_or(0.0, |m| (z[near] - z[m]) * 0.5);
+                count += 1;
+            }
+            if count > 0 {
+                found.push((k, sum / f64::from(count)));
+            }
+        }
+        for (k, height) in found {
+            z[k] = height;
+            open[k] = false;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rough() -> Vertices {
+        std::array::from_fn(|k| ((k * 7919 + k * k * 31) % 977) as f64 / 10.0)
+    }
+
+    #[test]
+    fn the_spline_meets_its_vertices_and_has_natural_ends() {
+        let z = rough();
+        let spline = Spline::new(&z);
+        for k in 0..SIDE * SIDE {
+            let found = spline.evaluate((k % SIDE) as f64, (k / SIDE) as f64);
+            assert!((found.z - z[k]).abs() < 1e-12, "{k}");
+        }
+        for t in 0..65 {
+            let t = t as f64 / 2.0;
+            for end in [0.0, 32.0] {
+                assert_eq!(spline.evaluate(end, t).second[0], 0.0);
+                assert_eq!(spline.evaluate(t, end).second[2], 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn value_slopes_and_bends_are_continuous_across_cells_and_derivatives_of_each_other() {
+        let spline = Spline::new(&rough());
+        let e = 1e-9;
+        for k in 1..SIDE - 1 {
+            for t in [0.3, 7.0, 15.8, 31.9] {
+                for swap in [false, true] {
+                    let at = |d: f64| {
+                        let (s, t) = (k as f64 + d, t);
+                        if swap { spline.evaluate(t, s) } else { spline.evaluate(s, t) }
+                    };
+                    let (l, r) = (at(-e), at(e));
+                    assert!((l.z - r.z).abs() < 1e-5);
+                    for n in 0..2 {
+                        assert!((l.first[n] - r.first[n]).abs() < 1e-4);
+                    }
+                    for n in 0..3 {
+                        assert!((l.second[n] - r.second[n]).abs() < 1e-3, "{k} {t} {l:?} {r:?}");
+                    }
+                }
+            }
+        }
+        let h = 1e-5;
+        for (s, t) in [(0.5, 0.5), (3.2, 17.9), (31.4, 0.1), (12.5, 31.7)] {
+            let c = spline.evaluate(s, t);
+            let [e, w] = [h, -h].map(|d| spline.evaluate(s + d, t));
+            let [n, o] = [h, -h].map(|d| spline.evaluate(s, t + d));
+            let central = |a: f64, b: f64| (a - b) / (2.0 * h);
+            for (found, truth) in [
+                (c.first[0], central(e.z, w.z)),
+                (c.first[1], central(n.z, o.z)),
+                (c.second[0], central(e.first[0], w.first[0])),
+                (c.second[1], central(e.first[1], w.first[1])),
+                (c.second[1], central(n.first[0], o.first[0])),
+                (c.second[2], central(n.first[1], o.first[1])),
+            ] {
+                assert!((found - truth).abs() < 1e-4 * (1.0 + truth.abs()), "{found} {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_has_the_bits_of_the_patch() {
+        let spline = Spline::new(&rough());
+        for (s, t) in [(0.0, 0.0), (5.25, 9.75), (31.5, 32.0), (32.0, 31.125)] {
+            let ((a, x), (b, y)) = (cell(s), cell(t));
+            assert_eq!(spline.line(b, y).at(a, x).to_bits(), spline.evaluate(s, t).z.to_bits());
+        }
+    }
+
+    #[test]
+    fn flat_and_tilted_ground_are_kept() {
+        let flat = Spline::new(&[123.4; SIDE * SIDE]);
+        let tilted = Spline::new(&std::array::from_fn(|k| (k % SIDE) as f64 * 3.0 - (k / SIDE) as f64));
+        for (s, t) in [(0.3, 0.7), (15.1, 31.9), (8.0, 30.5)] {
+            assert_eq!(flat.evaluate(s, t).z, 123.4);
+            let found = tilted.evaluate(s, t);
+            assert!((found.z - (s * 3.0 - t)).abs() < 1e-12 && found.second == [0.0; 3]);
+        }
+    }
+
+    #[test]
+    fn open_vertices_go_on_as_the_known_ones_do() {
+        let plane = |k: usize| 900.0 + (k % SIDE) as f64 * 2.0;
+        let mut z: Vertices = std::array::from_fn(|k| if k % SIDE < 20 { plane(k) } else { 0.0 });
+        let mut open: [bool; SIDE * SIDE] = std::array::from_fn(|k| k % SIDE >= 20);
+        extend(&mut z, &mut open);
+        let row = &z[15 * SIDE..16 * SIDE];
+        // Rises of 2, then 1, 1/2, ...: never more than one step in all.
+        assert_eq!(row[19], 938.0);
+        assert!((row[20] - 939.0).abs() < 1e-12 && (row[21] - 939.5).abs() < 1e-12);
+        assert!(row[32] < 940.0 && row[32] > 939.9);
+        // Without it, a cliff of 938 m would make the spline swing by metres well inside the data.
+        let inside = |z: &Vertices| (Spline::new(z).evaluate(17.5, 15.5).z - 935.0).abs();
+        let cliff: Vertices = std::array::from_fn(|k| if k % SIDE < 20 { plane(k) } else { 0.0 });
+        assert!(inside(&cliff) > 5.0 && inside(&z) < 0.02, "{} {}", inside(&cliff), inside(&z));
+        let mut none = [7.0; SIDE * SIDE];
+        extend(&mut none, &mut [true; SIDE * SIDE]);
+        assert_eq!(none, [7.0; SIDE * SIDE]);
+    }
+}

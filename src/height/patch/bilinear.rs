@@ -1,0 +1,17 @@
+//! Bilinear patches: each cell from its four vertices.
+
+use super::{Local, Vertices, cell};
+use crate::height::lod::SIDE;
+
+/// At (s, t) in cells from the first vertex, `0 <= s, t <= 32`. The mixed derivative is that within the cell.
+#[inline]
+pub fn evaluate(z: &Vertices, s: f64, t: f64) -> Local {
+    let ((a, x), (b, y)) = (cell(s), cell(t));
+    let k = b * SIDE + a;
+    let (z00, z10, z01, z11) = (z[k], z[k + 1], z[k + SIDE], z[k + SIDE + 1]);
+    let left = z00 + (z01 - z00) * y;
+    let right = z10 + (z11 - z10) * y;
+    let ds = right - left;
+    let dt = (z01 - z00) + ((z11 - z10) - (z01 - z00)) * x;
+    Local { z: left + ds * x, first: [ds, dt], second: [0.0, (z11 - z10) - (z01 - z00), 0.0] }
+}
