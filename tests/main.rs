@@ -3,6 +3,9 @@
 /// Worlds, databases in temporary folders, running the program.
 mod support;
 
+/// Answers computed from the surface: profiles, contours, volumes, lines of sight, contradictions.
+mod answers;
+
 /// Bad files, wrong calls, damaged, full and read-only databases: one clear line each, and nothing half done.
 mod bad_input;
 /// Databases of bicubic patches: slopes and curvature without a jump, and all that holds for bilinear ones.

@@ -130,6 +130,11 @@ mod tests {
                 .map(|w| w[0][0] as i64 * w[1][1] as i64 - w[1][0] as i64 * w[0][1] as i64)
                 .sum();
             assert_eq!(twice, 2 * p.cells as i64, "{p:?}");
+            for (k, r) in p.rings.iter().enumerate() {
+                let turns =
+                    |w: &[[usize; 2]]| w[0][0] as i64 * w[1][1] as i64 - w[1][0] as i64 * w[0][1] as i64;
+                assert_eq!(r.windows(2).map(turns).sum::<i64>() > 0, k == 0, "one outer ring: {p:?}");
+            }
         }
         pieces
     }

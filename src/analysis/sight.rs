@@ -59,6 +59,8 @@ pub struct Ray {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sight {
     pub verdict: Verdict,
+    /// What the surface itself says, as if it had no error; undecided only where it has no data.
+    pub on_surface: Verdict,
     pub distance_m: f64,
     /// Heights of the two ends, metres.
     pub from_z: f64,
@@ -128,6 +130,13 @@ pub fn sight(terrain: &Terrain, from: End, to: End, options: SightOptions) -> Re
     };
     let inner = 1..line.len() - 1;
     let rays: Vec<Ray> = inner.clone().map(|k| ray(&line[k], &ground[k])).collect();
+    let decide = |hidden: bool, visible: bool| match (hidden, visible) {
+        (true, _) => Verdict::Hidden,
+        (_, true) => Verdict::Visible,
+        _ => Verdict::Undecided,
+    };
+    let below = |r: &Ray| r.clearance_m.is_some_and(|c| c < 0.0);
+    let on_surface = decide(rays.iter().any(below), rays.iter().all(|r| r.z.is_some()));
     let clear = |r: &Ray| r.clearance_m.zip(r.error_m);
     let hidden = rays.iter().any(|r| clear(r).is_some_and(|(c, e)| c < -e));
     let visible = rays.iter().all(|r| clear(r).is_some_and(|(c, e)| c > e));
@@ -136,15 +145,12 @@ pub fn sight(terrain: &Terrain, from: End, to: End, options: SightOptions) -> Re
         .filter(|r| r.clearance_m.is_some())
         .min_by(|a, b| a.clearance_m.unwrap_or(0.0).total_cmp(&b.clearance_m.unwrap_or(0.0)));
     Ok(Sight {
-        verdict: match (hidden, visible) {
-            (true, _) => Verdict::Hidden,
-            (_, true) => Verdict::Visible,
-            _ => Verdict::Undecided,
-        },
+        verdict: decide(hidden, visible),
+        on_surface,
         distance_m: length,
         from_z,
         to_z,
-        obstruction: rays.iter().find(|r| r.clearance_m.is_some_and(|c| c < 0.0)).cloned(),
+        obstruction: rays.iter().find(|r| below(r)).cloned(),
         closest: closest.cloned(),
         without_data: rays.iter().filter(|r| r.z.is_none()).count(),
         uncertified: rays.iter().filter(|r| r.z.is_some() && r.error_m.is_none()).count(),

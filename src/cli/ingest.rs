@@ -235,17 +235,22 @@ pub fn carry_out(db: &Db, change: Change, operation: Option<&str>, dry_run: bool
     outcome
 }
 
+/// Two digits after the point and a sign; 0 has none of its own.
+pub fn signed(v: f64) -> String {
+    format!("{:+.2}", (v * 100.0).round() / 100.0 + 0.0)
+}
+
 /// One line about two surveys that contradict each other.
 pub fn contradiction(c: &db::Contradiction) -> String {
     let hint = c.hint.as_ref().map_or(String::new(), |h| format!("; {h}"));
     format!(
-        "'{}' and '{}' contradict each other on {:.1} % of {:.3} km2 (more than {} m apart): mean {:+.2} m, std {:.2} m, largest {:+.2} m at {}, {}{hint}",
+        "'{}' and '{}' contradict each other on {:.1} % of {:.3} km2 (more than {} m apart): mean {} m, std {:.2} m, largest {:+.2} m at {}, {}{hint}",
         c.finer,
         c.coarser,
         c.share * 100.0,
         c.overlap_m2 / 1e6,
         crate::base::round::significant(c.allowed_m, 6),
-        c.mean_m,
+        signed(c.mean_m),
         c.std_m,
         c.largest_m,
         crate::base::round::significant(c.largest_at[0], 9),

@@ -293,9 +293,8 @@ fn compare(
         cells: s.cells,
         contradicted_cells: s.contradicted,
         every,
-        hint: (s.contradicted > 0 && mean.abs() > std && mean.abs() > allowed).then(|| {
-            "the mean is far from 0: datum slip? (another vertical datum, feet read as metres)".into()
-        }),
+        hint: (s.contradicted > 0 && mean.abs() > 2.0 * std && mean.abs() > allowed)
+            .then(|| "nearly the same everywhere: datum slip? (another vertical datum or unit)".into()),
     };
     Ok(Some(Overlap { found, frame: g.frame, unit, cells, cols, rows, difference }))
 }

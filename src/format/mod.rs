@@ -1,4 +1,4 @@
-//! Files that surveys come in, read as a [`HeightSource`], and what is written for others: GeoTIFF, GLB, PNG.
+//! Files that surveys come in, read as a [`HeightSource`], and what is written for others: GeoTIFF, GLB, PNG, GeoJSON.
 //!
 //! [`open`] looks at a file's first bytes, at what lies beside it and at its name, and picks the reader (`kind`).
 //! Readers hand out samples in the file's own type, window by window, and mark voids; of files that come in

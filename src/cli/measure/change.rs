@@ -1,7 +1,7 @@
 //! Between two states of the ground: volume, difference.
 
 use super::{PICTURE_SIDE, Picture, ending, metered, no_format, size_of, step, write_raster};
-use crate::analysis::{self, Change, Grid, Terrain};
+use crate::analysis::{self, Grid, Terrain, Volumes};
 use crate::base::{Error, Result};
 use crate::cli::args::{Region, ToleranceArgs};
 use crate::cli::output::{Meter, Output, stop_flag};
@@ -66,13 +66,13 @@ impl Between {
             &Grid,
             &mut dyn FnMut(&mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()>,
         ) -> Result<()>,
-    ) -> Result<Change> {
+    ) -> Result<Volumes> {
         let (from, to) = (Terrain::new(&states[0], query)?, Terrain::new(&states[1], query)?);
         let grid = Grid::new(&[&from, &to], &query.area, step(self.step.as_deref())?, side_max)?;
         let mut found = None;
         rows(&grid, &mut |f| {
             let done = metered("heights", |going| {
-                analysis::change(&from, &to, &grid, self.independent_beyond, going, f)
+                analysis::volumes(&from, &to, &grid, self.independent_beyond, going, f)
             })?;
             found = Some(done);
             Ok(())

@@ -5,7 +5,7 @@ use crate::analysis::dissolve;
 use crate::base::{Error, Result, limits};
 use crate::cli::args::Source;
 use crate::cli::export::write_whole;
-use crate::cli::ingest::contradiction;
+use crate::cli::ingest::{contradiction, signed};
 use crate::cli::output::{Output, message};
 use crate::db::{Contradiction, Overlap, Snapshot};
 use crate::format::colour_map::Ramp;
@@ -96,12 +96,12 @@ impl Contradictions {
                 out.line(contradiction(c))?;
             } else {
                 out.line(format!(
-                    "'{}' and '{}' agree within {} m on all of {:.3} km2: mean {:+.2} m, std {:.2} m",
+                    "'{}' and '{}' agree within {} m on all of {:.3} km2: mean {} m, std {:.2} m",
                     c.finer,
                     c.coarser,
                     crate::base::round::significant(c.allowed_m, 6),
                     c.overlap_m2 / 1e6,
-                    c.mean_m,
+                    signed(c.mean_m),
                     c.std_m
                 ))?;
             }

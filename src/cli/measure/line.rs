@@ -34,8 +34,7 @@ pub struct Profile {
         value_name = "X,Y",
         num_args = 2..,
         required_unless_present = "line_file",
-        conflicts_with = "line_file",
-        allow_hyphen_values = true
+        conflicts_with = "line_file"
     )]
     line: Vec<String>,
     /// A GeoJSON file with one LineString, in the same coordinates
@@ -160,10 +159,16 @@ impl SightCommand {
             }
             return out.end();
         }
-        let verdict = match found.verdict {
+        let word = |v: Verdict| match v {
             Verdict::Visible => "visible",
             Verdict::Hidden => "hidden",
             Verdict::Undecided => "undecided",
+        };
+        let verdict = match found.verdict {
+            Verdict::Undecided => {
+                format!("undecided within the error (on the surface itself: {})", word(found.on_surface))
+            }
+            v => word(v).to_string(),
         };
         out.line(format!(
             "{verdict}: {:.1} m from height {:.2} to {:.2} m",

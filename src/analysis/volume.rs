@@ -12,7 +12,7 @@ use serde::Serialize;
 /// of bilinear surfaces whose posts are the corners of the grid. Cells where either state has no data, or only heights of
 /// the rim whose error is not promised, are left out and their area is told.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Change {
+pub struct Volumes {
     pub cut_m3: f64,
     pub fill_m3: f64,
     /// Fill minus cut.
@@ -49,14 +49,14 @@ pub struct Change {
 ///
 /// # Errors
 /// [`Error::Invalid`] if there is no cell with data in both.
-pub fn change(
+pub fn volumes(
     from: &Terrain,
     to: &Terrain,
     grid: &Grid,
     independent_beyond_m: Option<f64>,
     going: Going,
     mut f: impl FnMut(usize, &[f32]) -> Result<()>,
-) -> Result<Change> {
+) -> Result<Volumes> {
     let beyond = match independent_beyond_m {
         Some(m) if m.is_finite() && m >= 0.0 => m,
         Some(m) => {
@@ -64,7 +64,7 @@ pub fn change(
         }
         None => coarsest_m(&[from, to], grid),
     };
-    let mut c = Change {
+    let mut c = Volumes {
         cut_m3: 0.0,
         fill_m3: 0.0,
         net_m3: 0.0,
