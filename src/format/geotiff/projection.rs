@@ -232,8 +232,8 @@ mod tests {
             (3079, &[34.03333333333333]),
             (3084, &[-118.0]),
             (3085, &[33.5]),
-            (3086, &[6561666.666666667]),
-            (3087, &[1640416.6666666667]),
+            (3086, &[6561666.667]),
+            (3087, &[1640416.667]),
         ];
         let text = proj_string(&keys(&state_plane, &numbers)).unwrap();
         assert!(Crs::parse(&text).unwrap().same_as(&Crs::from_epsg(2229).unwrap()), "{text}");
