@@ -47,8 +47,8 @@ pub const USER_DEFINED: u16 = 32767;
 /// The GeoKeys of an image; keys that point outside their tags are left out.
 #[derive(Default)]
 pub struct GeoKeys {
-    shorts: BTreeMap<u16, u16>,
-    doubles: BTreeMap<u16, Vec<f64>>,
+    pub(super) shorts: BTreeMap<u16, u16>,
+    pub(super) doubles: BTreeMap<u16, Vec<f64>>,
     texts: BTreeMap<u16, String>,
 }
 

@@ -196,3 +196,50 @@ fn ellipsoid(keys: &GeoKeys, geographic: Option<u32>) -> Result<String, String> 
     };
     Ok(named.to_string())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys(shorts: &[(u16, u16)], doubles: &[(u16, &[f64])]) -> GeoKeys {
+        let mut keys = GeoKeys::default();
+        keys.shorts.extend(shorts.iter().copied());
+        keys.doubles.extend(doubles.iter().map(|(key, v)| (*key, v.to_vec())));
+        keys
+    }
+
+    fn code(shorts: &[(u16, u16)], doubles: &[(u16, &[f64])]) -> String {
+        proj_string(&keys(shorts, doubles)).map_or_else(|e| e, |text| Crs::parse(&text).unwrap().code)
+    }
+
+    #[test]
+    fn a_datum_by_ellipsoid_and_shift() {
+        // The keys of the file GeogToWGS84GeoKey5.tif.
+        let shift = [598.1, 73.7, 418.2, 0.202, 0.045, -2.455, 6.7];
+        let shorts = [(1024, 2), (2048, 32767), (2050, 32767), (2054, 9102), (2056, 7004)];
+        let expected =
+            "+proj=longlat +ellps=bessel +towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7 +no_defs";
+        assert_eq!(code(&shorts, &[(2062, &shift)]), expected);
+        assert!(code(&shorts, &[(2062, &shift[..4])]).contains("neither 3 nor 7"));
+        assert!(code(&[(1024, 2), (2051, 8903)], &[]).contains("Greenwich"));
+    }
+
+    #[test]
+    fn projections_in_feet_and_metres() {
+        let state_plane = [(1024, 1), (2048, 4269), (3072, 32767), (3075, 8), (3076, 9003)];
+        let numbers: [(u16, &[f64]); 6] = [
+            (3078, &[35.46666666666667]),
+            (3079, &[34.03333333333333]),
+            (3084, &[-118.0]),
+            (3085, &[33.5]),
+            (3086, &[6561666.667]),
+            (3087, &[1640416.667]),
+        ];
+        let text = proj_string(&keys(&state_plane, &numbers)).unwrap();
+        assert!(Crs::parse(&text).unwrap().same_as(&Crs::from_epsg(2229).unwrap()), "{text}");
+        let utm = [(1024, 1), (2048, 4326), (3072, 32767), (3074, 16111), (3076, 9001)];
+        assert_eq!(code(&utm, &[]), "EPSG:32711");
+        let unknown = [(1024, 1), (2048, 4326), (3072, 32767), (3074, 32767), (3075, 13)];
+        assert!(code(&unknown, &[]).contains("method 13"));
+    }
+}

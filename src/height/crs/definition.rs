@@ -21,10 +21,10 @@ impl Ellipsoid {
     pub const WGS84: Ellipsoid = Ellipsoid { a: 6378137.0, f: 1.0 / 298.257223563 };
     const GRS80: Ellipsoid = Ellipsoid { a: 6378137.0, f: 1.0 / 298.257222101 };
 
-    /// Equal for every purpose: within a micrometre in size and 1e-10 in flattening (which a text of 12
-    /// digits of 1/f may miss by).
+    /// Equal but for rounding: within a millimetre in size, and in flattening closer than WGS 84 and GRS 1980 are
+    /// (1.6e-11).
     pub fn same(self, other: Ellipsoid) -> bool {
-        (self.a - other.a).abs() < 1e-3 && (self.f - other.f).abs() < 1e-10
+        (self.a - other.a).abs() < 1e-3 && (self.f - other.f).abs() < 1e-12
     }
 
     /// WGS 84 or GRS 1980, which are a tenth of a millimetre apart.

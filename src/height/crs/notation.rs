@@ -147,7 +147,15 @@ fn canonical(text: &str, definition: Definition) -> Result<(String, Definition)>
     let written = write(&definition).ok_or_else(|| {
         Error::unsupported(text, "a projection that has no PROJ string", "name the CRS by its EPSG code")
     })?;
-    Ok((common_names().get(&written).cloned().unwrap_or(written), definition))
+    if let Some(code) = common_names().get(&written) {
+        return Ok((code.clone(), definition));
+    }
+    // The text that is stored is the one that counts: it has to mean the same when it is read again.
+    let again = core_of(&written)?;
+    if write(&again).as_ref() != Some(&written) {
+        return Err(Error::invalid(text, format!("it is not the same when written as '{written}'")));
+    }
+    Ok((written, again))
 }
 
 /// EPSG systems that files often spell out instead of naming: on WGS 84, NAD83 or NAD27, the datums that a
