@@ -322,3 +322,71 @@ fn the_program_says_what_resampling_did() {
         refused(&["ingest", db, file.to_str().unwrap(), "--name", "x", "--accuracy", "6", "--step", "0"], 1);
     assert!(text.contains("--step"), "{text}");
 }
+
+#[test]
+fn a_database_in_a_system_without_an_epsg_code_gives_files_that_say_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |n: &str| dir.path().join(n).to_str().unwrap().to_string();
+    let (db, out) = (path("db"), path("out.tif"));
+    printed(&["init", &db, "--crs", "ESRI:102003"]);
+    let file = crate::support::bundled("st_helens").join("survey_2004-10-04_native.tif");
+    let file = file.to_str().unwrap();
+    printed(&["ingest", &db, file, "--name", "dome", "--accuracy", "0.5"]);
+    printed(&["export", &db, &out, "--error", "0"]);
+    let read = terraquilt::format::open(std::path::Path::new(&out)).unwrap();
+    assert_eq!(read.info().crs.as_ref().unwrap().code, "ESRI:102003");
+    // And the surface goes into another database as it stands.
+    let other = path("other");
+    printed(&["init", &other, "--crs", "ESRI:102003"]);
+    printed(&["ingest", &other, &out, "--accuracy", "0.5"]);
+    let rows: serde_json::Value = serde_json::from_str(&printed(&["surveys", &other, "--json"])).unwrap();
+    assert!(rows[0]["delivered"].is_null(), "{rows}");
+}
+
+#[test]
+fn the_first_survey_chooses_the_system() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |n: &str| dir.path().join(n).to_str().unwrap().to_string();
+    let file = crate::support::bundled("st_helens").join("survey_2004-10-04_native.tif");
+    let file = file.to_str().unwrap();
+    let crs = |db: &str| {
+        let rows: serde_json::Value = serde_json::from_str(&printed(&["surveys", db, "--json"])).unwrap();
+        (rows[0]["crs"].as_str().unwrap().to_string(), rows[0]["delivered"]["crs"].clone())
+    };
+    // Its own, if that is projected.
+    let db = path("a");
+    printed(&["init", &db, "--policy", "newest", "--patch", "bicubic"]);
+    let text = refused(&["surveys", &db], 1);
+    assert!(text.contains("first survey"), "{text}");
+    let out = program(&["ingest", &db, file, "--accuracy", "0.5", "--date", "2004-10-04", "--dry-run"]);
+    assert!(out.status.success() && String::from_utf8_lossy(&out.stderr).contains("EPSG:26910"));
+    printed(&["ingest", &db, file, "--accuracy", "0.5", "--date", "2004-10-04"]);
+    assert_eq!(crs(&db).0, "EPSG:26910");
+    let info: serde_json::Value = serde_json::from_str(&printed(&["info", &db, "--json"])).unwrap();
+    assert_eq!(info["policy"], "newest", "{info}");
+    // The UTM zone, if it is in degrees.
+    let mut r = Random::new(3);
+    let g = geographic(&mut r, 60, 60);
+    let degrees = Scratch::new(Policy::Accuracy);
+    degrees.change(arrival(&g, None, None)).unwrap();
+    let tif = path("degrees.tif");
+    printed(&["export", degrees.path().to_str().unwrap(), &tif, "--survey", "g"]);
+    let db = path("b");
+    printed(&["init", &db]);
+    printed(&["ingest", &db, &tif, "--accuracy", "1"]);
+    assert_eq!(crs(&db), ("EPSG:32610".to_string(), "EPSG:4326".into()));
+    // Nothing, if it is wider than that.
+    let wide = Grid {
+        affine: Affine { origin: [-170.0, 60.0], col_step: [5.0, 0.0], row_step: [0.0, -1.0] },
+        ..g.clone()
+    };
+    let world = Scratch::new(Policy::Accuracy);
+    let waiting = terraquilt::db::Awaiting::create(
+        &world.folder.path().join("waiting"),
+        Policy::Accuracy,
+        terraquilt::height::patch::Kind::Bilinear,
+    )
+    .unwrap();
+    let text = waiting.choose(&[wide.source_in("EPSG:4326").info()], None).unwrap_err().to_string();
+    assert!(text.contains("degrees wide") && text.contains("--crs"), "{text}");
+}

@@ -32,8 +32,9 @@ pub fn crs_of(info: &SourceInfo, request: &Ingest, db: &Db) -> Result<Crs> {
         Error::invalid(
             &info.file,
             format!(
-                "does not say its coordinate system; say it with --crs (if it is that of the database: --crs {})",
-                db.crs().code
+                "does not say its coordinate system; say it with --crs (if it is that of the database: --crs {}){}",
+                db.crs().code,
+                info.notes.iter().map(|n| format!("; {n}")).collect::<String>()
             ),
         )
     })

@@ -17,16 +17,16 @@ pub const TAG_TIEPOINTS: u16 = 33922;
 pub const TAG_TRANSFORMATION: u16 = 34264;
 pub const TAG_GEO_KEYS: u16 = 34735;
 const TAG_GEO_DOUBLES: u16 = 34736;
-const TAG_GEO_ASCII: u16 = 34737;
+pub const TAG_GEO_ASCII: u16 = 34737;
 
 pub const KEY_MODEL_TYPE: u16 = 1024;
 pub const KEY_RASTER_TYPE: u16 = 1025;
 const KEY_CITATION: u16 = 1026;
 pub const KEY_GEODETIC_CRS: u16 = 2048;
-const KEY_GEODETIC_CITATION: u16 = 2049;
+pub const KEY_GEODETIC_CITATION: u16 = 2049;
 pub const KEY_ANGULAR_UNIT: u16 = 2054;
 pub const KEY_PROJECTED_CRS: u16 = 3072;
-const KEY_PROJECTED_CITATION: u16 = 3073;
+pub const KEY_PROJECTED_CITATION: u16 = 3073;
 pub const KEY_LINEAR_UNIT: u16 = 3076;
 pub const KEY_LINEAR_UNIT_METRES: u16 = 3077;
 const KEY_VERTICAL_CRS: u16 = 4096;
@@ -107,6 +107,15 @@ impl GeoKeys {
         self.texts.values().find_map(|text| text.split_once(mark)).map(|(_, wkt)| wkt.trim())
     }
 
+    /// The system as this program names it where EPSG has no code: `ESRI:n` or a PROJ string in a citation.
+    fn named(&self) -> Option<Crs> {
+        [KEY_PROJECTED_CITATION, KEY_GEODETIC_CITATION]
+            .into_iter()
+            .filter_map(|key| self.texts.get(&key))
+            .filter(|text| text.starts_with("ESRI:") || text.starts_with("+proj="))
+            .find_map(|text| Crs::parse(text).ok())
+    }
+
     /// What the file says of its CRS in words.
     fn citation(&self) -> Option<String> {
         [KEY_CITATION, KEY_PROJECTED_CITATION, KEY_GEODETIC_CITATION]
@@ -171,9 +180,12 @@ pub fn crs(keys: &GeoKeys, notes: &mut Vec<String>) -> Option<Crs> {
     let read = match code {
         Some(code) => Crs::from_epsg(u32::from(code))
             .map_err(|_| format!("the file's CRS EPSG:{code} is not in the registry of this build")),
-        None => match keys.esri_text() {
-            Some(wkt) => Crs::parse(wkt).map_err(|e| format!("the file's CRS is not understood: {e}")),
-            None => projection::proj_string(keys).and_then(|text| {
+        None => match (keys.named(), keys.esri_text()) {
+            (Some(crs), _) => Ok(crs),
+            (None, Some(wkt)) => {
+                Crs::parse(wkt).map_err(|e| format!("the file's CRS is not understood: {e}"))
+            }
+            (None, None) => projection::proj_string(keys).and_then(|text| {
                 Crs::parse(&text).map_err(|e| format!("the file's CRS is not understood: {e}"))
             }),
         },
@@ -248,5 +260,7 @@ pub fn height_unit_note(keys: &GeoKeys, unit: Option<&str>) -> Option<String> {
     };
     let metres = ["m", "metre", "meter", "metres", "meters"];
     let by_tag = unit.filter(|u| !metres.contains(&u.to_ascii_lowercase().as_str()));
-    by_tag.or(by_key).map(|unit| format!("the file gives heights in '{unit}'; they are taken as metres"))
+    by_tag.or(by_key).map(|unit| {
+        format!("the file gives heights in '{unit}'; --vertical-unit says otherwise if that is wrong")
+    })
 }

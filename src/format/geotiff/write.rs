@@ -5,8 +5,9 @@
 //! samples give the same bytes.
 
 use super::georef::{
-    KEY_GEODETIC_CRS, KEY_MODEL_TYPE, KEY_PROJECTED_CRS, KEY_RASTER_TYPE, MODEL_GEOGRAPHIC, MODEL_PROJECTED,
-    RASTER_AREA, TAG_GEO_KEYS, TAG_PIXEL_SCALE, TAG_TIEPOINTS, TAG_TRANSFORMATION,
+    KEY_GEODETIC_CITATION, KEY_GEODETIC_CRS, KEY_MODEL_TYPE, KEY_PROJECTED_CITATION, KEY_PROJECTED_CRS,
+    KEY_RASTER_TYPE, MODEL_GEOGRAPHIC, MODEL_PROJECTED, RASTER_AREA, TAG_GEO_ASCII, TAG_GEO_KEYS,
+    TAG_PIXEL_SCALE, TAG_TIEPOINTS, TAG_TRANSFORMATION, USER_DEFINED,
 };
 use crate::base::bytes::Put;
 use crate::base::{Error, Result, limits};
@@ -243,7 +244,9 @@ impl<W: Write + Seek> GeoTiffWriter<W> {
         if let Some(affine) = spec.affine {
             entries.extend(placement(affine));
         }
-        entries.push(Entry::short(TAG_GEO_KEYS, &geo_keys(spec.crs.as_ref())));
+        let (keys, text) = geo_keys(spec.crs.as_ref());
+        entries.push(Entry::short(TAG_GEO_KEYS, &keys));
+        entries.extend(text.map(|t| Entry::text(TAG_GEO_ASCII, &t)));
         if spec.scale != 1.0 || spec.offset != 0.0 {
             let item = |name: &str, role: &str, value: f64| {
                 format!("  <Item name=\"{name}\" sample=\"0\" role=\"{role}\">{value}</Item>\n")
@@ -333,10 +336,10 @@ fn check_spec(spec: &GeoTiffSpec) -> Result<()> {
     if spec.cols * spec.rows > limits::POSTS_MAX {
         return Err(Error::limit("posts of a GeoTIFF", limits::POSTS_MAX, spec.cols * spec.rows));
     }
-    if let Some(crs) = &spec.crs
-        && epsg_of(crs).is_none()
+    if let Some(crs) =
+        spec.crs.as_ref().filter(|c| c.code.len() > limits::TEXT_BYTES_MAX || !c.code.is_ascii())
     {
-        let reason = format!("'{}' is not EPSG:1 to EPSG:32766, which is what GeoTIFF can name", crs.code);
+        let reason = format!("a name of {} bytes does not fit a GeoTIFF", crs.code.len());
         return Err(Error::invalid("crs", reason));
     }
     if spec.nodata.as_ref().is_some_and(|text| text.contains('\0')) {
@@ -364,21 +367,29 @@ fn epsg_of(crs: &Crs) -> Option<u16> {
     crs.code.strip_prefix("EPSG:")?.parse().ok().filter(|code| (1..32767).contains(code))
 }
 
-fn geo_keys(crs: Option<&Crs>) -> Vec<u16> {
-    let mut keys = vec![(KEY_RASTER_TYPE, RASTER_AREA)];
-    if let Some((crs, code)) = crs.and_then(|crs| Some((crs, epsg_of(crs)?))) {
-        let (model, key) = match crs.unit {
-            AxisUnit::Degree => (MODEL_GEOGRAPHIC, KEY_GEODETIC_CRS),
-            AxisUnit::Metre(_) => (MODEL_PROJECTED, KEY_PROJECTED_CRS),
+/// The key directory, and the text that it points into. A system without an EPSG code is user-defined, with its name or PROJ
+/// string as citation: this program reads it back, others show it.
+fn geo_keys(crs: Option<&Crs>) -> (Vec<u16>, Option<String>) {
+    let mut entries = vec![[KEY_RASTER_TYPE, 0, 1, RASTER_AREA]];
+    let mut text = None;
+    if let Some(crs) = crs {
+        let (model, key, citation) = match crs.unit {
+            AxisUnit::Degree => (MODEL_GEOGRAPHIC, KEY_GEODETIC_CRS, KEY_GEODETIC_CITATION),
+            AxisUnit::Metre(_) => (MODEL_PROJECTED, KEY_PROJECTED_CRS, KEY_PROJECTED_CITATION),
         };
-        keys.insert(0, (KEY_MODEL_TYPE, model));
-        keys.push((key, code));
+        entries.insert(0, [KEY_MODEL_TYPE, 0, 1, model]);
+        entries.push([key, 0, 1, epsg_of(crs).unwrap_or(USER_DEFINED)]);
+        if epsg_of(crs).is_none() {
+            let cited = format!("{}|", crs.code);
+            entries.push([citation, TAG_GEO_ASCII, cited.len() as u16, 0]);
+            text = Some(cited);
+        }
     }
-    let mut directory = vec![1, 1, 0, keys.len() as u16];
-    for (key, value) in keys {
-        directory.extend([key, 0, 1, value]);
-    }
-    directory
+    // Ascending by key, as GeoTIFF wants them.
+    entries.sort_unstable();
+    let mut directory = vec![1, 1, 0, entries.len() as u16];
+    directory.extend(entries.as_flattened());
+    (directory, text)
 }
 
 /// Scale and tie point for a north-up grid, else a matrix.
