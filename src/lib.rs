@@ -10,9 +10,11 @@
 //! - [`height`]: heights as mathematics: patches, LOD space, the surface
 //! - [`mesh`], [`store`]: triangulation; the database on disk
 //! - [`db`]: the junction: ingest, query, verify
+//! - [`analysis`]: profiles, contours, volumes: answers computed from the surface
 //! - [`format`]: other people's formats
 //! - [`cli`]: the command line
 
+pub mod analysis;
 pub mod base;
 pub mod cli;
 pub mod db;

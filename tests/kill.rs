@@ -12,6 +12,7 @@ use terraquilt::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use terraquilt::height::crs::Crs;
 use terraquilt::height::source::{Affine, SampleType};
 use terraquilt::store::catalog::{Catalog, Sqlite};
+use terraquilt::store::record::record_name;
 use terraquilt::store::segment::file_name;
 
 /// Noisy hills in whole metres on 10 m posts, written as an int16 GeoTIFF.
@@ -69,13 +70,10 @@ fn versions(db: &str) -> Vec<u64> {
 
 /// Files that no version names, as they are now: what a stopped writer leaves.
 fn leftovers(db: &str) -> BTreeSet<(String, u64, std::time::SystemTime)> {
-    let named: BTreeSet<String> = Sqlite::open_read_only(&Path::new(db).join("catalog.sqlite"))
-        .unwrap()
-        .all_files()
-        .unwrap()
-        .iter()
-        .map(|(n, _)| file_name(*n))
-        .collect();
+    let catalog = Sqlite::open_read_only(&Path::new(db).join("catalog.sqlite")).unwrap();
+    let segments = catalog.all_files().unwrap().into_iter().map(|(n, _)| file_name(n));
+    let records = catalog.versions().unwrap().into_iter().map(|v| record_name(v.number));
+    let named: BTreeSet<String> = segments.chain(records).collect();
     std::fs::read_dir(Path::new(db).join("segments"))
         .unwrap()
         .map(|e| e.unwrap())

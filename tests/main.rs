@@ -7,6 +7,8 @@ mod support;
 mod bad_input;
 /// Databases of bicubic patches: slopes and curvature without a jump, and all that holds for bilinear ones.
 mod bicubic;
+/// Backup, copy, compact, prune, rebuild; what surveys contribute.
+mod care;
 /// What the surface promises: certified errors, no gap, no jump, equality with the definition.
 mod certified;
 /// Power cuts on a simulated disk: every change stopped at every step; readers and prune.
@@ -15,7 +17,7 @@ mod crash;
 mod crs;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
-/// GeoTIFF and HGT in, GeoTIFF out: every difficult file, damage, round trips.
+/// Formats in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
 /// Meshes as GLB: within the bound, manifold, exact border.
 mod glb;
@@ -31,7 +33,11 @@ mod kill;
 mod oracle;
 /// Any order of arrival, tiles, removal: one fingerprint.
 mod order;
+/// Tolerances that vary, regions by polygon, coordinates of the user's choice.
+mod reach;
 /// Newer surveys replace older ones, and give the ground back when they leave.
 mod replacement;
 /// Surveys delivered in another system than the database's: their posts, their tiles, what is refused.
 mod resampled;
+/// Seams between surveys that disagree: off they cost nothing, on they do not show.
+mod seams;

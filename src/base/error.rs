@@ -35,7 +35,7 @@ pub enum Error {
     Io { path: PathBuf, source: io::Error },
     /// The catalog (SQLite) refused.
     #[error(
-        "catalog of the database (catalog.sqlite): {0}; make room if the disk is full, else restore it from a backup"
+        "catalog of the database (catalog.sqlite): {0}; make room if the disk is full; if it is damaged, `terraquilt rebuild DB` makes it again from the other files"
     )]
     Catalog(String),
     /// The work was stopped by the caller (Ctrl-C); nothing was changed.

@@ -11,6 +11,14 @@ pub const SIDE_MAX: u64 = 2_000_000;
 pub const WINDOW_POSTS_MAX: u64 = 64 << 20;
 /// Bytes of one decoded block or strip of an input file.
 pub const INPUT_BLOCK_BYTES_MAX: u64 = 1 << 30;
+/// Bytes of a small file beside an input file (`.hdr`, `.prj`, `.aux.xml`, world file).
+pub const SIDECAR_BYTES_MAX: u64 = 4 << 20;
+/// Members of a zip archive that are looked at.
+pub const ARCHIVE_MEMBERS_MAX: u64 = 10_000;
+/// Bytes of an unpacked member of a zip archive: it is held in memory while it is read.
+pub const ARCHIVE_MEMBER_BYTES_MAX: u64 = 512 << 20;
+/// Posts of one geoid grid: a global grid of one minute of arc has 233 million.
+pub const GEOID_POSTS_MAX: u64 = 250_000_000;
 /// Bytes of a text field (name, CRS) in a declaration.
 pub const TEXT_BYTES_MAX: usize = 4096;
 /// Posts (cells) of one exported raster.
@@ -19,3 +27,15 @@ pub const RASTER_POSTS_MAX: u64 = 400_000_000;
 pub const MESH_VERTICES_MAX: usize = 20_000_000;
 /// Bytes of one page of a segment, compressed or not.
 pub const PAGE_BYTES_MAX: u64 = 64 << 20;
+/// Points of a grid that is held in memory at once, to draw contour lines through it.
+pub const CONTOUR_POSTS_MAX: u64 = 64 << 20;
+/// Vertices of one file of lines or polygons, about 30 bytes each as text.
+pub const LINE_VERTICES_MAX: u64 = 20_000_000;
+/// Bytes of a text file of lines that is read.
+pub const LINE_FILE_BYTES_MAX: u64 = 64 << 20;
+/// Posts of a raster of tolerances.
+pub const TOLERANCE_POSTS_MAX: u64 = 64 << 20;
+/// Points of one polygon that names a region.
+pub const POLYGON_POINTS_MAX: u64 = 500_000;
+/// Bytes of a GeoJSON file.
+pub const GEOJSON_BYTES_MAX: u64 = 128 << 20;

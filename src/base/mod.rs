@@ -9,6 +9,7 @@ pub mod date;
 mod error;
 pub mod lattice;
 pub mod limits;
+pub mod polygon;
 pub mod round;
 
 pub use error::{Error, Result};

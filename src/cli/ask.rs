@@ -1,11 +1,13 @@
 //! Commands that read: surveys, tiles, versions, patches, heights, boxes.
 
-use super::args::{Region, Source, ToleranceArgs, numbers};
-use super::output::{Output, count, table};
+use super::args::{CoordsArg, Region, Source, ToleranceArgs, numbers};
+use super::output::{Output, count, message, table};
+use super::place::whereabouts;
+use super::points::{Points, quoted, read_points};
 use crate::base::{Error, Result};
 use crate::db::query::{Query, difference, set_hash};
 use crate::db::{self, Snapshot};
-use crate::height::surface::Evaluation;
+use crate::height::surface::{Evaluation, Seams};
 use crate::store::quadtree::Record;
 use clap::Args;
 use serde_json::{Value, json};
@@ -187,7 +189,11 @@ pub struct Patches {
 impl Patches {
     pub fn run(self) -> Result<bool> {
         let (db, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region)?;
+        let place = self.region.place(&s)?;
+        let query = self.tolerance.query(&place, &s, Seams::Off)?;
+        if s.select(&query)?.records.is_empty() {
+            message(&format!("note: nothing lies there; {}", whereabouts(&s, place.coords.as_ref())));
+        }
         match self.since {
             Some(v) => self.difference(&s, &db.snapshot(Some(v))?, &query),
             None => self.list(&s, &query),
@@ -280,17 +286,19 @@ fn patch(s: &Snapshot, r: &Record) -> Result<Value> {
 /// Heights of the surface at points
 ///
 /// Prints CSV: x,y,z,error_m. No z: no data there. A z without error_m: the outermost cell of a survey or hole, where no error
-/// is promised.
+/// is promised. Further columns of --points come first, then z and error_m. With --coords, x and y are in that CRS.
 #[derive(Args)]
 #[command(
-    after_help = "Examples:\n  terraquilt heights hills --error 0 562310.5,5116320\n  terraquilt heights hills --error 1 --points stakes.csv > heights.csv\n  terraquilt heights hills --error 0 562310.5,5116320 --explain"
+    after_help = "Examples:\n  terraquilt heights hills --error 0 562310.5,5116320\n  terraquilt heights hills --error 1 --points stakes.csv > heights.csv\n  terraquilt heights hills --error 0 562310.5,5116320 --explain\n  terraquilt heights hills --error 0 --coords EPSG:4326 -122.19,46.2"
 )]
 pub struct Heights {
     #[command(flatten)]
     source: Source,
-    /// Points in the database's CRS
+    /// Points in the database's CRS, or that of --coords
     #[arg(value_name = "X,Y")]
     at_points: Vec<String>,
+    #[command(flatten)]
+    coords: CoordsArg,
     #[command(flatten)]
     tolerance: ToleranceArgs,
     /// A CSV file: x and y in the first two columns, or in columns named x and y
@@ -309,9 +317,17 @@ impl Heights {
             None if self.at_points.is_empty() => {
                 return Err(Error::invalid("points", "none given; name X,Y ... or --points FILE.csv"));
             }
-            None => self.at_points.iter().map(|t| numbers("point", t)).collect::<Result<Vec<[f64; 2]>>>()?,
+            None => Points {
+                xy: self.at_points.iter().map(|t| numbers("point", t)).collect::<Result<_>>()?,
+                table: None,
+            },
         };
-        let tolerance = self.tolerance.get()?;
+        let coords = self.coords.get(&s)?;
+        let inside: Vec<[f64; 2]> = match &coords {
+            Some(c) => points.xy.iter().map(|p| c.inside("point", *p)).collect::<Result<_>>()?,
+            None => points.xy.clone(),
+        };
+        let tolerance = self.tolerance.get(&s, coords.as_ref())?;
         if let (crate::db::query::Tolerance::Camera(_), crate::height::crs::AxisUnit::Degree) =
             (&tolerance, s.crs().unit)
         {
@@ -321,30 +337,47 @@ impl Heights {
                 "ask with --error M",
             ));
         }
-        let found = s.heights(&points, &tolerance, self.tolerance.how())?;
+        let how = self.tolerance.how(Seams::Off);
+        let found = s.heights(&inside, &tolerance, how)?;
+        if !found.is_empty() && found.iter().all(Option::is_none) {
+            message(&format!("note: no point lies on a survey; {}", whereabouts(&s, coords.as_ref())));
+        }
         let mut out = Output::new();
         if !self.source.json {
-            out.line("x,y,z,error_m")?;
+            let names = points
+                .table
+                .as_ref()
+                .map(|t| t.names.iter().map(|n| quoted(n)).collect::<Vec<_>>().join(","));
+            out.line(format!("{},z,error_m", names.as_deref().unwrap_or("x,y")))?;
         }
         let mut rows = Vec::new();
-        for (p, e) in points.iter().zip(&found) {
+        for (k, (p, e)) in points.xy.iter().zip(&found).enumerate() {
+            let cells = points.table.as_ref().map(|t| (t, &t.rows[k]));
             if self.source.json {
                 let mut row = row(p, e.as_ref());
+                if let Some((t, cells)) = cells {
+                    let more = (0..cells.len()).filter(|k| !t.place.contains(k));
+                    let more = more.map(|k| (t.names[k].clone(), Value::String(cells[k].clone())));
+                    row["columns"] = Value::Object(more.collect());
+                }
                 if self.explain {
-                    row["sources"] = sources(&s, &tolerance, self.tolerance.how(), *p)?;
+                    row["sources"] = sources(&s, &tolerance, how, inside[k])?;
                 }
                 rows.push(row);
                 continue;
             }
+            let start = match cells {
+                Some((_, cells)) => cells.iter().map(|c| quoted(c)).collect::<Vec<_>>().join(","),
+                None => format!("{},{}", p[0], p[1]),
+            };
             match e {
                 // No error is promised in the rim: the column stays empty there.
-                Some(e) if !e.certified => out.line(format!("{},{},{},", p[0], p[1], e.z))?,
-                Some(e) => out.line(format!("{},{},{},{}", p[0], p[1], e.z, e.error_m))?,
-                None => out.line(format!("{},{},,", p[0], p[1]))?,
+                Some(e) if !e.certified => out.line(format!("{start},{},", e.z))?,
+                Some(e) => out.line(format!("{start},{},{}", e.z, e.error_m))?,
+                None => out.line(format!("{start},,"))?,
             }
             if self.explain {
-                for x in sources(&s, &tolerance, self.tolerance.how(), *p)?.as_array().unwrap_or(&Vec::new())
-                {
+                for x in sources(&s, &tolerance, how, inside[k])?.as_array().unwrap_or(&Vec::new()) {
                     out.line(format!("# {} patch {} weight {}", x["survey"], x["patch"], x["weight"]))?;
                 }
             }
@@ -359,10 +392,11 @@ impl Heights {
 fn row(p: &[f64; 2], e: Option<&Evaluation>) -> Value {
     match e {
         Some(e) => json!({"x": p[0], "y": p[1], "z": e.z, "error_m": e.error_m, "accuracy_m": e.accuracy_m,
-                          "certified": e.certified, "synthetic": false}),
+                          "certified": e.certified, "synthetic": false, "correction_m": e.correction_m,
+                          "contradiction": e.contradiction}),
         None => {
             json!({"x": p[0], "y": p[1], "z": null, "error_m": null, "accuracy_m": null, "certified": false,
-                       "synthetic": false})
+                       "synthetic": false, "correction_m": null, "contradiction": false})
         }
     }
 }
@@ -381,52 +415,6 @@ fn sources(
         }));
     }
     Ok(Value::Array(list))
-}
-
-/// Reads x and y from a CSV file; a header may name the columns.
-fn read_points(path: &PathBuf) -> Result<Vec<[f64; 2]>> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
-    let mut columns = [0usize, 1];
-    let mut points = Vec::new();
-    let mut first = true;
-    for (n, line) in text.lines().enumerate() {
-        let line = line.trim_start_matches('\u{feff}').trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let cells: Vec<&str> = line.split([',', ';', '\t']).map(|c| c.trim().trim_matches('"')).collect();
-        let number =
-            |k: usize| cells.get(columns[k]).and_then(|c| c.parse::<f64>().ok()).filter(|v| v.is_finite());
-        match (number(0), number(1)) {
-            (Some(x), Some(y)) => points.push([x, y]),
-            _ if first => {
-                let find = |name: &str| cells.iter().position(|c| c.eq_ignore_ascii_case(name));
-                match (
-                    find("x").or(find("easting")).or(find("lon")),
-                    find("y").or(find("northing")).or(find("lat")),
-                ) {
-                    (Some(x), Some(y)) => columns = [x, y],
-                    _ => {
-                        return Err(Error::invalid(
-                            path.display(),
-                            format!(
-                                "line {}: '{line}' is neither two numbers nor a header with columns x and y",
-                                n + 1
-                            ),
-                        ));
-                    }
-                }
-            }
-            _ => {
-                return Err(Error::invalid(
-                    path.display(),
-                    format!("line {}: '{line}' has no numbers for x and y", n + 1),
-                ));
-            }
-        }
-        first = false;
-    }
-    Ok(points)
 }
 
 /// Print every patch as exact integers, one JSON object a line, for independent checking

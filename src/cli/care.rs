@@ -1,12 +1,11 @@
-//! Commands that look after a database: info, fingerprint, verify, prune.
+//! Commands that look at a database's health: info, fingerprint, verify.
 
 use super::args::Source;
-use super::output::{Meter, Output, bytes, count, message, stop_flag};
-use crate::base::{Error, Result};
-use crate::db::{self, Db, Progress};
+use super::output::{Meter, Output, bytes, count, stop_flag};
+use crate::base::Result;
+use crate::db::{self, Progress};
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
 
 /// Sizes, counts, overlap, format version
 #[derive(Args)]
@@ -123,62 +122,5 @@ impl Verify {
         }
         out.end()?;
         Ok(r.ok)
-    }
-}
-
-/// Forget older versions and give their bytes back
-#[derive(Args)]
-#[command(after_help = "Examples:\n  terraquilt prune hills --keep 1\n  terraquilt prune hills --before 12")]
-pub struct Prune {
-    /// Directory of the database
-    db: PathBuf,
-    /// Keep the newest N versions
-    #[arg(long, value_name = "N", required_unless_present = "before", conflicts_with = "before")]
-    keep: Option<u64>,
-    /// Forget versions before this one
-    #[arg(long, value_name = "VERSION")]
-    before: Option<u64>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-}
-
-impl Prune {
-    pub fn run(self) -> Result<bool> {
-        if self.keep == Some(0) {
-            return Err(Error::invalid(
-                "--keep",
-                "0 versions; the latest one always stays, so give at least 1",
-            ));
-        }
-        let db = Db::open(&self.db)?;
-        let (keep, before) = (self.keep, self.before);
-        let choose = |all: &[u64]| -> Vec<u64> {
-            match (keep, before) {
-                (Some(k), _) => all[..all.len().saturating_sub(k as usize)].to_vec(),
-                (None, Some(b)) => all.iter().copied().filter(|v| *v < b).collect(),
-                (None, None) => Vec::new(),
-            }
-        };
-        let o =
-            db.prune(choose, &mut || message("another process is writing to this database; waiting for it"))?;
-        let mut out = Output::new();
-        if self.json {
-            out.json(&o)?;
-            return out.end();
-        }
-        out.line(format!(
-            "forgot {} version{}, gave back {}",
-            o.pruned.len(),
-            if o.pruned.len() == 1 { "" } else { "s" },
-            bytes(o.bytes_freed)
-        ))?;
-        if !o.kept_for_readers.is_empty() {
-            out.line(format!(
-                "kept versions {:?}: somebody is reading them; prune again later",
-                o.kept_for_readers
-            ))?;
-        }
-        out.end()
     }
 }

@@ -1,8 +1,10 @@
 //! `demo`: the whole story on real surveys of Mount St. Helens that are part of the program.
 
-use super::export::{glb, png};
+use super::export::png;
 use super::ingest::carry_out;
+use super::mesh::glb;
 use super::output::{Output, bytes, count};
+use super::place::Place;
 use super::shading::Raster;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -12,7 +14,7 @@ use crate::format;
 use crate::height::crs::Crs;
 use crate::height::lod::cut::Camera;
 use crate::height::patch::Kind;
-use crate::height::surface::Blend;
+use crate::height::surface::{Blend, How, Seams};
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -157,9 +159,11 @@ impl Demo {
 
         out.line("\nDrawn:")?;
         let now = db.snapshot(None)?;
-        let raster = Raster::new(&now, None, None, 1400)?;
+        let place = Place::default();
+        let raster = Raster::new(&now, &place, None, 1400)?;
         let picture = dir.join("helens-2004.png");
-        png(&now, &uniform(2.0), &raster, &picture)?;
+        let bent = How { blend: Blend::Exact, seams: Seams::All };
+        png(&now, &Query { how: bent, ..uniform(2.0) }, &raster, &picture)?;
         out.line(format!(
             "  {}   shaded relief at 2 m error; red: small patches, blue: large ones",
             picture.display()

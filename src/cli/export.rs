@@ -1,30 +1,31 @@
 //! `export`: the surface as GLB, GeoTIFF or PNG; a survey's own samples, bit for bit.
 
 use super::args::{Region, Source, ToleranceArgs, numbers};
-use super::output::{Meter, Output, bytes, count, message, stop_flag};
+use super::mesh::{Packing, packed_glb};
+use super::output::{Meter, Output, bytes, count, message};
+use super::place::{Place, whereabouts};
 use super::shading::Raster;
 use crate::base::{Error, Result};
 use crate::db::Delivered;
 use crate::db::query::Query;
 use crate::db::{self, Snapshot};
 use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
-use crate::format::gltf::{GlbMesh, write_glb};
 use crate::format::relief::{Relief, write_relief};
 use crate::height::crs::Crs;
 use crate::height::source::{Affine, SampleType};
+use crate::height::surface::Seams;
 use clap::Args;
-use serde_json::{Map, json};
+use serde_json::json;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 /// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief
 #[derive(Args)]
 #[command(
-    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
+    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills small.glb --error 2 --quantize\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
 )]
-#[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "survey"])))]
+#[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "error_raster", "focus", "survey"])))]
 pub struct Export {
     /// Directory of the database
     db: PathBuf,
@@ -43,9 +44,12 @@ pub struct Export {
     /// With --survey: this tile, by file name or key
     #[arg(long, value_name = "T", requires = "survey")]
     tile: Option<String>,
-    /// .tif and .png: pixel size in CRS units (X or X,Y)
+    /// .tif and .png: pixel size in units of the CRS, or of --coords (X or X,Y); without it a .tif is as fine as the finest
+    /// survey there, its pixels on the posts of one that lies north-up
     #[arg(long, value_name = "X[,Y]")]
     step: Option<String>,
+    #[command(flatten)]
+    packing: Packing,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -68,6 +72,7 @@ impl Export {
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         if let Some(name) = &self.survey {
+            self.packing.only_for_glb(&ending)?;
             if ending != "tif" && ending != "tiff" {
                 return Err(Error::invalid(
                     "--survey",
@@ -75,9 +80,12 @@ impl Export {
                 ));
             }
             let t = &self.tolerance.inner;
-            if t.error.is_some() || t.eye.is_some() || self.region.bbox.is_some() || self.step.is_some() {
+            let asked =
+                t.error.is_some() || t.eye.is_some() || t.error_raster.is_some() || !t.focus.is_empty();
+            let region = self.region.bbox.is_some() || self.region.polygon.is_some();
+            if asked || region || self.region.coords.coords.is_some() || self.step.is_some() {
                 message(
-                    "note: with --survey the samples are written as delivered; tolerance, --bbox and --step are not used",
+                    "note: with --survey the samples are written as delivered; tolerance, region, --coords and --step are not used",
                 );
             }
             let (posts, masked) = survey(&s, name, self.tile.as_deref(), &self.out)?;
@@ -93,42 +101,60 @@ impl Export {
                 &format!("{} posts as delivered", count(posts)),
             );
         }
-        let query = self.tolerance.inner.query(&self.region)?;
-        match ending.as_str() {
+        let place = self.region.place(&s)?;
+        self.packing.only_for_glb(&ending)?;
+        let looked_at = ending == "glb" || ending == "png";
+        let seams = if looked_at { Seams::All } else { Seams::Off };
+        let query = self.tolerance.inner.query(&place, &s, seams)?;
+        if s.select(&query)?.records.is_empty() {
+            let reason = format!("holds no data; {}", whereabouts(&s, place.coords.as_ref()));
+            return Err(Error::invalid("region", reason));
+        }
+        self.write(&s, &place, &query, &ending)
+    }
+
+    fn write(&self, s: &Snapshot, place: &Place, query: &Query, ending: &str) -> Result<bool> {
+        match ending {
             "glb" => {
-                let m = glb(&s, &query, &self.out)?;
-                let text = format!(
-                    "{} triangles; error {:.3} m (surface {:.3}, mesh {:.3} measured at {} points)",
-                    count(m.triangles),
-                    m.error_m,
-                    m.surface_error_m,
-                    m.mesh_error_m,
-                    count(m.measured_points)
-                );
+                let m = packed_glb(s, query, &self.out, self.packing)?;
+                let text = m.text();
                 if let crate::db::query::Tolerance::Constant(asked) = query.tolerance
                     && m.error_m > asked
                 {
                     message(&format!(
-                        "note: the surface alone has {:.3} m there (the accuracy of its surveys); with the mesh's {:.3} m that is more than the {asked} m asked",
-                        m.surface_error_m, m.mesh_error_m
+                        "note: the surface alone has {:.3} m there ({}); with the mesh's {:.3} m that is more than the {asked} m asked",
+                        m.surface_error_m,
+                        if m.correction_m > 0.0 {
+                            "the accuracy of its surveys, and what is bent where they disagree: --seams off keeps them apart"
+                        } else {
+                            "the accuracy of its surveys"
+                        },
+                        m.mesh_error_m
+                    ));
+                }
+                if let Some(used) = m.tolerance_used.filter(|u| *u > 1.0) {
+                    message(&format!(
+                        "note: somewhere the surveys are less accurate than was asked: surface and mesh need {used:.2} times the tolerance there"
                     ));
                 }
                 self.told(&m, &text)
             }
             "tif" | "tiff" => {
-                let raster = Raster::new(&s, query.area.bounds(), Some(self.step(&s)?), PICTURE_SIDE)?;
-                let error = tif(&s, &query, &raster, &self.out)?;
+                let raster = match self.step()? {
+                    None => Raster::as_fine_as_posts(s, place)?,
+                    step => Raster::new(s, place, step, PICTURE_SIDE)?,
+                };
+                let error = tif(s, query, &raster, &self.out)?;
                 self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": query.how.seams.name()}),
                     &format!("{} x {} posts, error {error:.3} m", raster.cols, raster.rows),
                 )
             }
             "png" => {
-                let step = self.step.as_deref().map(|_| self.step(&s)).transpose()?;
-                let raster = Raster::new(&s, query.area.bounds(), step, PICTURE_SIDE)?;
-                let error = png(&s, &query, &raster, &self.out)?;
+                let raster = Raster::new(s, place, self.step()?, PICTURE_SIDE)?;
+                let error = png(s, query, &raster, &self.out)?;
                 self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error}),
+                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": query.how.seams.name()}),
                     &format!("{} x {} pixels, coloured by patch size", raster.cols, raster.rows),
                 )
             }
@@ -144,25 +170,18 @@ impl Export {
         }
     }
 
-    fn step(&self, s: &Snapshot) -> Result<[f64; 2]> {
-        let found = match &self.step {
-            Some(t) if t.contains(',') => numbers("--step", t)?,
-            Some(t) => {
-                let [x] = numbers("--step", t)?;
-                [x, x]
-            }
-            None => s
-                .entries()
-                .map(|e| e.geometry.steps)
-                .min_by(|a, b| (a[0] * a[1]).total_cmp(&(b[0] * b[1])))
-                .ok_or_else(|| {
-                    Error::invalid("region", "the database is empty; `terraquilt ingest` brings a survey")
-                })?,
+    fn step(&self) -> Result<Option<[f64; 2]>> {
+        let Some(text) = &self.step else { return Ok(None) };
+        let found = if text.contains(',') {
+            numbers("--step", text)?
+        } else {
+            let [x] = numbers("--step", text)?;
+            [x, x]
         };
         if found.iter().any(|v| *v <= 0.0) {
             return Err(Error::invalid("--step", format!("{found:?}; it must be positive")));
         }
-        Ok(found)
+        Ok(Some(found))
     }
 
     fn told(&self, value: &impl serde::Serialize, text: &str) -> Result<bool> {
@@ -196,69 +215,8 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Resu
     done
 }
 
-fn create(path: &Path) -> Result<BufWriter<File>> {
+pub(super) fn create(path: &Path) -> Result<BufWriter<File>> {
     Ok(BufWriter::new(File::create(path).map_err(|e| Error::io(path, e))?))
-}
-
-/// What a mesh export found.
-#[derive(serde::Serialize)]
-pub struct MeshFound {
-    pub out: PathBuf,
-    pub vertices: u64,
-    pub triangles: u64,
-    pub error_m: f64,
-    pub surface_error_m: f64,
-    pub mesh_error_m: f64,
-    pub measured_points: u64,
-    pub seconds: f64,
-}
-
-/// Writes a region as GLB.
-pub fn glb(s: &Snapshot, query: &Query, path: &Path) -> Result<MeshFound> {
-    let started = std::time::Instant::now();
-    let meter = Meter::new();
-    let stop = stop_flag();
-    let found = db::triangulate_region(s, query, &|share| {
-        meter.report("mesh", share);
-        !stop.load(Ordering::Relaxed)
-    });
-    meter.clear();
-    let r = found?;
-    let mut extras = Map::new();
-    extras.insert("surface_error_m".into(), json!(r.surface_error_m));
-    extras.insert("mesh_error_m".into(), json!(r.mesh.error_m));
-    if s.crs().unit == crate::height::crs::AxisUnit::Degree {
-        extras.insert(
-            "projection".into(),
-            json!("local: metres east and north of the origin, which is in degrees"),
-        );
-    }
-    let mesh = GlbMesh {
-        positions: &r.mesh.positions,
-        normals: &r.mesh.normals,
-        triangles: &r.mesh.triangles,
-        colors: None,
-        origin: r.origin,
-        crs: &s.crs().code,
-        error_m: r.error_m,
-        version: s.number(),
-        extras,
-    };
-    write_whole(path, |p| {
-        let mut out = create(p)?;
-        write_glb(&mut out, &mesh)?;
-        out.flush().map_err(|e| Error::io(p, e))
-    })?;
-    Ok(MeshFound {
-        out: path.to_path_buf(),
-        vertices: r.mesh.positions.len() as u64,
-        triangles: r.mesh.triangles.len() as u64,
-        error_m: r.error_m,
-        surface_error_m: r.surface_error_m,
-        mesh_error_m: r.mesh.error_m,
-        measured_points: r.mesh.measured_points,
-        seconds: started.elapsed().as_secs_f64(),
-    })
 }
 
 /// The patch sizes drawn red and blue (log2 of metres): those in the picture, at least four octaves apart, so that sizes
@@ -284,7 +242,7 @@ fn tif(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64>
         rows: raster.rows as u64,
         sample_type: SampleType::F32,
         affine: Some(Affine { origin: raster.center(0, 0), col_step: [sx, 0.0], row_step: [0.0, -sy] }),
-        crs: Some(s.crs().clone()),
+        crs: Some(raster.crs(s).clone()),
         nodata: Some("nan".into()),
         scale: 1.0,
         offset: 0.0,

@@ -4,12 +4,17 @@ use super::args::numbers;
 use super::output::{Meter, Output, count, message, stop_flag};
 use crate::base::date::Date;
 use crate::base::{Error, Result};
-use crate::db::{self, Change, Db, Options, Outcome, Policy, Progress};
+use crate::db::{self, Awaiting, Change, Db, Options, Outcome, Policy, Progress};
 use crate::format;
+use crate::height::crs::geoid::Geoid;
+use crate::height::crs::vertical::VerticalDatum;
 use crate::height::crs::{Crs, DatumChoice};
+use crate::height::lifted::{Lift, Lifted};
 use crate::height::patch::Kind;
+use crate::height::source::HeightSource;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum PolicyName {
@@ -35,8 +40,9 @@ enum PatchKind {
 pub struct Init {
     /// Directory to make
     db: PathBuf,
-    /// Coordinate system of the database; surveys have to be in it
-    #[arg(long, value_name = "EPSG:n")]
+    /// Coordinate system of the database; surveys in others are resampled [default: that of the first survey, or, if it is
+    /// in degrees, its UTM zone]
+    #[arg(long, value_name = "EPSG:n|ESRI:n|PROJ|WKT", allow_hyphen_values = true)]
     crs: Option<String>,
     /// Who wins where surveys overlap
     #[arg(long, value_enum, default_value = "accuracy")]
@@ -48,12 +54,6 @@ pub struct Init {
 
 impl Init {
     pub fn run(self) -> Result<bool> {
-        let Some(crs) = self.crs else {
-            return Err(Error::invalid(
-                "--crs",
-                "which coordinate system? give --crs EPSG:n, that of your grids (gdalinfo FILE shows it)",
-            ));
-        };
         let policy = match self.policy {
             PolicyName::Accuracy => Policy::Accuracy,
             PolicyName::Newest => Policy::Newest,
@@ -62,14 +62,21 @@ impl Init {
             PatchKind::Bilinear => Kind::Bilinear,
             PatchKind::Bicubic => Kind::Bicubic,
         };
-        let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy, patch })?;
+        let path = self.db.display();
+        let system = match self.crs {
+            Some(crs) => {
+                let db = Db::create(&self.db, &Options { crs: Crs::parse(&crs)?, policy, patch })?;
+                format!("in {}", db.crs().code)
+            }
+            None => {
+                Awaiting::create(&self.db, policy, patch)?;
+                "in the coordinate system that suits its first survey".into()
+            }
+        };
         message(&format!(
-            "made {} in {}, policy {}, {} patches; next: terraquilt ingest {} FILE --accuracy METRES",
-            db.path().display(),
-            db.crs().code,
+            "made {path} {system}, policy {}, {} patches; next: terraquilt ingest {path} FILE --accuracy METRES",
             policy.name(),
             patch.name(),
-            db.path().display()
         ));
         Ok(true)
     }
@@ -124,8 +131,14 @@ struct Said {
     #[arg(long, value_enum)]
     vertical_unit: Option<VerticalUnit>,
     /// What heights count from: a code (EPSG:5703) or a name [default: as the files say]
-    #[arg(long, value_name = "DATUM")]
+    #[arg(long, value_name = "DATUM", conflicts_with = "geoid")]
     vertical_datum: Option<String>,
+    /// A geoid grid (.gtx or GeoTIFF): heights above the geoid become heights above the ellipsoid
+    #[arg(long, value_name = "FILE")]
+    geoid: Option<PathBuf>,
+    /// With --geoid the other way: heights above the ellipsoid become heights above the geoid, whose datum is named
+    #[arg(long, value_name = "DATUM", requires = "geoid")]
+    onto: Option<String>,
     /// Declare the lattice that the posts lie on (file headers may be rounded)
     #[arg(long, value_name = "STEPX,STEPY,PHASEX,PHASEY", allow_hyphen_values = true)]
     lattice: Option<String>,
@@ -142,13 +155,27 @@ struct Said {
 
 impl Said {
     fn request(&self, files: &[PathBuf]) -> Result<db::Ingest> {
+        let lift = match &self.geoid {
+            None => None,
+            Some(file) => {
+                let way = match &self.onto {
+                    None => Lift::ToEllipsoid,
+                    Some(datum) => Lift::ToGeoid(VerticalDatum::parse(datum)?),
+                };
+                Some((Arc::new(format::geoid::open(file)?), way))
+            }
+        };
+        let vertical_datum = self.vertical_datum.as_deref().map(VerticalDatum::parse).transpose()?;
         let mut sources = Vec::with_capacity(files.len());
         for f in files {
             let mut s = format::open(f)?;
             if let Some(v) = self.nodata {
                 s.set_nodata(v);
             }
-            sources.push(s);
+            sources.push(match &lift {
+                None => s,
+                Some((geoid, lift)) => self.lifted(s, geoid.clone(), lift)?,
+            });
         }
         let step = match self.step.as_deref() {
             None => None,
@@ -162,13 +189,32 @@ impl Said {
             accuracy_m: self.accuracy,
             date: self.date.as_deref().map(Date::parse).transpose()?,
             precedence: self.precedence,
-            vertical_unit_m: self.vertical_unit.map(VerticalUnit::metres),
-            vertical_datum: self.vertical_datum.clone(),
-            crs: self.crs.as_deref().map(Crs::parse).transpose()?,
+            vertical_unit_m: self.vertical_unit.map(VerticalUnit::metres).filter(|_| lift.is_none()),
+            vertical_datum: vertical_datum.map(|d| d.as_str().to_string()),
+            crs: self.crs()?,
             datum: self.datum_shift.as_deref().map_or(Ok(DatumChoice::None), DatumChoice::parse)?,
             step,
             lattice: self.lattice.as_deref().map(|l| numbers("--lattice", l)).transpose()?,
         })
+    }
+
+    fn crs(&self) -> Result<Option<Crs>> {
+        self.crs.as_deref().map(Crs::parse).transpose()
+    }
+
+    /// A file whose heights are moved by a geoid grid.
+    fn lifted(
+        &self,
+        source: Box<dyn HeightSource>,
+        geoid: Arc<Geoid>,
+        lift: &Lift,
+    ) -> Result<Box<dyn HeightSource>> {
+        let info = source.info();
+        let crs = self.crs()?.or_else(|| info.crs.clone()).ok_or_else(|| {
+            Error::invalid(&info.file, "does not say its coordinate system; say it with --crs")
+        })?;
+        let unit_m = self.vertical_unit.map(VerticalUnit::metres).or(info.vertical_unit_m).unwrap_or(1.0);
+        Ok(Box::new(Lifted::new(source, &crs, unit_m, geoid, lift)?))
     }
 
     fn carry_out(&self, db: &Db, change: Change) -> Result<bool> {
@@ -187,6 +233,24 @@ pub fn carry_out(db: &Db, change: Change, operation: Option<&str>, dry_run: bool
     let outcome = db.change(change, operation, dry_run, &progress, &mut waiting);
     meter.clear();
     outcome
+}
+
+/// One line about two surveys that contradict each other.
+pub fn contradiction(c: &db::Contradiction) -> String {
+    let hint = c.hint.as_ref().map_or(String::new(), |h| format!("; {h}"));
+    format!(
+        "'{}' and '{}' contradict each other on {:.1} % of {:.3} km2 (more than {} m apart): mean {:+.2} m, std {:.2} m, largest {:+.2} m at {}, {}{hint}",
+        c.finer,
+        c.coarser,
+        c.share * 100.0,
+        c.overlap_m2 / 1e6,
+        crate::base::round::significant(c.allowed_m, 6),
+        c.mean_m,
+        c.std_m,
+        c.largest_m,
+        crate::base::round::significant(c.largest_at[0], 9),
+        crate::base::round::significant(c.largest_at[1], 9),
+    )
 }
 
 fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
@@ -226,6 +290,9 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
     for (name, cells) in &o.flipped_cells {
         out.line(format!("  shows or hides {} cells of '{name}'", count(*cells)))?;
     }
+    for c in &o.contradictions {
+        out.line(format!("  {}", contradiction(c)))?;
+    }
     out.end()
 }
 
@@ -237,7 +304,7 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
 pub struct IngestFiles {
     /// Directory of the database
     db: PathBuf,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Name of the survey; default: that of the first file
@@ -252,8 +319,20 @@ pub struct IngestFiles {
 
 impl IngestFiles {
     pub fn run(self) -> Result<bool> {
-        let db = Db::open(&self.db)?;
         let mut request = self.said.request(&self.files)?;
+        let db = match Awaiting::read(&self.db)? {
+            None => Db::open(&self.db)?,
+            Some(awaiting) => {
+                let files: Vec<_> = request.sources.iter().map(|s| s.info()).collect();
+                let crs = awaiting.choose(&files, request.crs.as_ref())?;
+                if self.said.dry_run {
+                    message(&format!("the database would be made in {}; nothing was changed", crs.code));
+                    return Ok(true);
+                }
+                message(&format!("the database is now in {}", crs.code));
+                awaiting.settle(crs)?
+            }
+        };
         request.name = self.name.clone();
         request.into = self.into.clone();
         self.said.carry_out(&db, Change::Ingest(request))
@@ -268,7 +347,7 @@ pub struct Replace {
     db: PathBuf,
     /// Survey whose tiles are delivered again
     survey: String,
-    /// GeoTIFF or SRTM HGT files
+    /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
     files: Vec<PathBuf>,
     #[command(flatten)]

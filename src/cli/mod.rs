@@ -9,8 +9,15 @@ mod care;
 mod demo;
 mod export;
 mod ingest;
+mod measure;
+mod mesh;
+mod origin;
 mod output;
+mod place;
+mod points;
 mod shading;
+mod tolerance;
+mod upkeep;
 
 use crate::base::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -43,10 +50,26 @@ enum Command {
     Heights(ask::Heights),
     Boxes(ask::Boxes),
     Export(export::Export),
+    Profile(measure::Profile),
+    Sight(measure::SightCommand),
+    Statistics(measure::StatisticsCommand),
+    Contours(measure::ContoursCommand),
+    Slope(measure::Slope),
+    Aspect(measure::Aspect),
+    Hillshade(measure::Hillshade),
+    Volume(measure::Volume),
+    Difference(measure::Difference),
+    Contradictions(measure::Contradictions),
     Info(care::InfoCommand),
     Fingerprint(care::Fingerprint),
     Verify(care::Verify),
-    Prune(care::Prune),
+    Redundant(origin::Redundant),
+    Provenance(origin::ProvenanceCommand),
+    Prune(upkeep::Prune),
+    Compact(upkeep::Compact),
+    Backup(upkeep::Backup),
+    Copy(upkeep::Copy),
+    Rebuild(upkeep::Rebuild),
 }
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
@@ -77,10 +100,26 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Heights(c) => c.run(),
         Command::Boxes(c) => c.run(),
         Command::Export(c) => c.run(),
+        Command::Profile(c) => c.run(),
+        Command::Sight(c) => c.run(),
+        Command::Statistics(c) => c.run(),
+        Command::Contours(c) => c.run(),
+        Command::Slope(c) => c.run(),
+        Command::Aspect(c) => c.run(),
+        Command::Hillshade(c) => c.run(),
+        Command::Volume(c) => c.run(),
+        Command::Difference(c) => c.run(),
+        Command::Contradictions(c) => c.run(),
         Command::Info(c) => c.run(),
         Command::Fingerprint(c) => c.run(),
         Command::Verify(c) => c.run(),
+        Command::Redundant(c) => c.run(),
+        Command::Provenance(c) => c.run(),
         Command::Prune(c) => c.run(),
+        Command::Compact(c) => c.run(),
+        Command::Backup(c) => c.run(),
+        Command::Copy(c) => c.run(),
+        Command::Rebuild(c) => c.run(),
     };
     finish(done)
 }

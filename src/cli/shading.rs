@@ -1,71 +1,138 @@
 //! The surface over a raster: for GeoTIFF and PNG.
 
+use super::place::{Coords, Place};
+use crate::base::polygon::Polygon;
 use crate::base::{Error, Result, limits};
 use crate::db::query::Query;
 use crate::db::{Snapshot, metres_per_unit};
-use crate::height::lod::{KERNEL, MARGIN};
+use crate::height::crs::{AxisUnit, Crs};
+use crate::height::lod::{Geometry, KERNEL, MARGIN};
 
 /// A raster over a region: posts are pixel centres, the first row is the northernmost.
-pub struct Raster {
-    /// xmin, ymin, xmax, ymax of the outer edges, CRS units.
-    pub bounds: [f64; 4],
+pub struct Raster<'a> {
+    /// Centre of the first pixel, in the raster's CRS.
+    origin: [f64; 2],
+    step: [f64; 2],
     pub cols: usize,
     pub rows: usize,
+    /// The raster's CRS, if it is not the database's.
+    coords: Option<&'a Coords>,
+    /// Pixels whose centres lie outside are empty.
+    mask: Option<&'a Polygon>,
 }
 
-impl Raster {
-    /// Pixels of `step` CRS units; without a step, `side` pixels along the longer side.
-    pub fn new(
-        s: &Snapshot,
-        region: Option<[f64; 4]>,
-        step: Option<[f64; 2]>,
-        side: usize,
-    ) -> Result<Raster> {
-        let b = match region.or_else(|| s.bounds()) {
-            Some(b) => b,
-            None => {
-                return Err(Error::invalid(
-                    "region",
-                    "the database is empty; `terraquilt ingest` brings a survey",
-                ));
-            }
-        };
-        let scale = metres_per_unit(s.crs().unit, [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]);
+impl<'a> Raster<'a> {
+    /// Pixels of `step` CRS units; without a step, `side` pixels along the longer side. Over everything if the place has no
+    /// bounds.
+    pub fn new(s: &Snapshot, place: &'a Place, step: Option<[f64; 2]>, side: usize) -> Result<Raster<'a>> {
+        let b = bounds(s, place)?;
+        let coords = place.coords.as_ref();
+        let scale = metres_per_unit(crs(s, coords).unit, middle(b));
         let (w, h) = (b[2] - b[0], b[3] - b[1]);
         let step = step.unwrap_or_else(|| {
             let m = (w * scale[0]).max(h * scale[1]) / side as f64;
             [m / scale[0], m / scale[1]]
         });
         let (cols, rows) = ((w / step[0] - 1e-9).ceil().max(1.0), (h / step[1] - 1e-9).ceil().max(1.0));
-        if cols * rows > limits::RASTER_POSTS_MAX as f64 {
+        // Pixels keep their size; the box grows to the south and east by less than one.
+        let origin = [b[0] + step[0] / 2.0, b[3] - step[1] / 2.0];
+        Raster { origin, step, cols: 1, rows: 1, coords, mask: place.mask.as_deref() }.sized(cols, rows)
+    }
+
+    /// Pixels as fine as the finest survey of the place. Without `--coords` they are centred on the posts of the finest
+    /// survey there whose columns run north, if there is one: at tolerance 0 its samples come out.
+    pub fn as_fine_as_posts(s: &Snapshot, place: &'a Place) -> Result<Raster<'a>> {
+        let b = bounds(s, place)?;
+        let near = place.area.bounds().or_else(|| s.bounds()).unwrap_or(b);
+        let size = s.unit().size();
+        let met = |g: &Geometry| {
+            let c = g.bounds();
+            let (low, high) = (c.min, c.max);
+            low.x as f64 * size <= near[2]
+                && near[0] <= high.x as f64 * size
+                && low.y as f64 * size <= near[3]
+                && near[1] <= high.y as f64 * size
+        };
+        let area = |g: &&Geometry| g.steps[0] * g.steps[1];
+        let finest = |pass: &dyn Fn(&Geometry) -> bool| {
+            let found = s.entries().map(|e| &e.geometry).filter(|g| pass(g));
+            found.min_by(|g, h| area(g).total_cmp(&area(h)).then(h.precedence.cmp(&g.precedence)))
+        };
+        let upright = |g: &Geometry| g.frame.u.y == 0 && g.frame.v.x == 0;
+        if place.coords.is_none()
+            && let Some(g) = finest(&|g| met(g) && upright(g))
+        {
+            // Posts at anchor + k step; those within the region.
+            let frame = &g.frame;
+            let anchor = [frame.anchor.x as f64 * size, frame.anchor.y as f64 * size];
+            let step = [frame.u.x as f64 * size, frame.v.y as f64 * size].map(f64::abs);
+            let first = [0, 1].map(|k| ((b[k] - anchor[k]) / step[k] - 1e-6).ceil());
+            let last = [0, 1].map(|k| ((b[k + 2] - anchor[k]) / step[k] + 1e-6).floor());
+            if first[0] <= last[0] && first[1] <= last[1] {
+                let origin = [anchor[0] + first[0] * step[0], anchor[1] + last[1] * step[1]];
+                let raster =
+                    Raster { origin, step, cols: 1, rows: 1, coords: None, mask: place.mask.as_deref() };
+                return raster.sized(last[0] - first[0] + 1.0, last[1] - first[1] + 1.0);
+            }
+        }
+        let g = finest(&met).or_else(|| finest(&|_| true));
+        let step = g.map(|g| match &place.coords {
+            None => g.steps,
+            Some(c) => {
+                let from = metres_per_unit(s.crs().unit, middle(near));
+                let to = metres_per_unit(c.crs.unit, middle(b));
+                [0, 1].map(|k| g.steps[k] * from[k] / to[k])
+            }
+        });
+        Raster::new(s, place, step, 1)
+    }
+
+    fn sized(self, cols: f64, rows: f64) -> Result<Raster<'a>> {
+        if !(cols * rows <= limits::RASTER_POSTS_MAX as f64) {
             return Err(Error::limit(
                 "pixels (give a smaller --bbox or a larger --step)",
                 limits::RASTER_POSTS_MAX,
                 (cols * rows) as u64,
             ));
         }
-        // Pixels keep their size; the box grows to the south and east by less than one.
-        let bounds = [b[0], b[3] - rows * step[1], b[0] + cols * step[0], b[3]];
-        Ok(Raster { bounds, cols: cols as usize, rows: rows as usize })
+        Ok(Raster { cols: cols as usize, rows: rows as usize, ..self })
     }
 
     pub fn step(&self) -> [f64; 2] {
-        [
-            (self.bounds[2] - self.bounds[0]) / self.cols as f64,
-            (self.bounds[3] - self.bounds[1]) / self.rows as f64,
-        ]
+        self.step
     }
 
+    /// Centre of a pixel, in the raster's CRS.
     pub fn center(&self, col: usize, row: usize) -> [f64; 2] {
-        let [sx, sy] = self.step();
-        [self.bounds[0] + (col as f64 + 0.5) * sx, self.bounds[3] - (row as f64 + 0.5) * sy]
+        [self.origin[0] + col as f64 * self.step[0], self.origin[1] - row as f64 * self.step[1]]
+    }
+
+    /// The raster's CRS.
+    pub fn crs<'b>(&'b self, s: &'b Snapshot) -> &'b Crs {
+        crs(s, self.coords)
     }
 
     /// Pixel size in metres.
     pub fn cell_m(&self, s: &Snapshot) -> [f64; 2] {
-        let b = self.bounds;
-        let k = metres_per_unit(s.crs().unit, [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]);
-        [self.step()[0] * k[0], self.step()[1] * k[1]]
+        let k = metres_per_unit(self.unit(s), self.center(self.cols / 2, self.rows / 2));
+        [self.step[0] * k[0], self.step[1] * k[1]]
+    }
+
+    fn unit(&self, s: &Snapshot) -> AxisUnit {
+        self.crs(s).unit
+    }
+
+    /// The pixels of some rows that are not empty by position, row by row: which, and where in the database's CRS.
+    fn points(&self, rows: std::ops::Range<usize>) -> (Vec<usize>, Vec<[f64; 2]>) {
+        rows.clone()
+            .flat_map(|r| (0..self.cols).map(move |c| (c, r)))
+            .enumerate()
+            .filter_map(|(k, (c, r))| {
+                let p = self.center(c, r);
+                let p = self.coords.map_or(Some(p), |coords| coords.inward(p))?;
+                self.mask.is_none_or(|m| m.contains(p)).then_some((k, p))
+            })
+            .unzip()
     }
 
     /// Heights band by band: `f(first row, rows, heights)`, NaN where there is no data. Returns the largest certified
@@ -80,23 +147,16 @@ impl Raster {
         const BAND: usize = 64;
         for row0 in (0..self.rows).step_by(BAND) {
             let rows = BAND.min(self.rows - row0);
-            let points: Vec<[f64; 2]> = (row0..row0 + rows)
-                .flat_map(|r| (0..self.cols).map(move |c| (c, r)))
-                .map(|(c, r)| self.center(c, r))
-                .collect();
+            let (which, points) = self.points(row0..row0 + rows);
             let found = s.heights(&points, &query.tolerance, query.how)?;
-            let z: Vec<f32> = found
-                .iter()
-                .map(|e| match e {
-                    Some(e) => {
-                        if e.certified {
-                            error = error.max(e.error_m);
-                        }
-                        e.z as f32
-                    }
-                    None => f32::NAN,
-                })
-                .collect();
+            let mut z = vec![f32::NAN; rows * self.cols];
+            for (k, e) in which.into_iter().zip(found) {
+                let Some(e) = e else { continue };
+                if e.certified {
+                    error = error.max(e.error_m);
+                }
+                z[k] = e.z as f32;
+            }
             f(row0, rows, &z)?;
         }
         Ok(error)
@@ -104,22 +164,33 @@ impl Raster {
 
     /// log2 of the side in metres of the patch that weighs most at each pixel; NaN where there is none.
     pub fn patch_sizes(&self, s: &Snapshot, query: &Query) -> Result<Vec<f32>> {
-        let points: Vec<[f64; 2]> = (0..self.rows)
-            .flat_map(|r| (0..self.cols).map(move |c| (c, r)))
-            .map(|(c, r)| self.center(c, r))
-            .collect();
-        let b = self.bounds;
-        let k = metres_per_unit(s.crs().unit, [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]);
-        Ok(s.dominant(&points, &query.tolerance, query.how)?
-            .into_iter()
-            .map(|r| match r {
-                Some(r) => {
-                    let Ok(e) = s.survey_by_number(r.survey) else { return f32::NAN };
-                    let cells = ((KERNEL + 2 * MARGIN) << r.place.level) as f64;
-                    (e.geometry.steps[0] * k[0] * cells).log2() as f32
-                }
-                None => f32::NAN,
-            })
-            .collect())
+        let (which, points) = self.points(0..self.rows);
+        let mut out = vec![f32::NAN; self.cols * self.rows];
+        let found = s.dominant(&points, &query.tolerance, query.how)?;
+        for ((k, p), r) in which.into_iter().zip(&points).zip(found) {
+            let Some(r) = r else { continue };
+            let Ok(e) = s.survey_by_number(r.survey) else { continue };
+            let metres = metres_per_unit(s.crs().unit, *p)[0];
+            let cells = ((KERNEL + 2 * MARGIN) << r.place.level) as f64;
+            out[k] = (e.geometry.steps[0] * metres * cells).log2() as f32;
+        }
+        Ok(out)
     }
+}
+
+fn crs<'a>(s: &'a Snapshot, coords: Option<&'a Coords>) -> &'a Crs {
+    coords.map_or(s.crs(), |c| &c.crs)
+}
+
+fn middle(b: [f64; 4]) -> [f64; 2] {
+    [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]
+}
+
+/// The box of a place in the coordinates of the answer, of everything if it has none.
+fn bounds(s: &Snapshot, place: &Place) -> Result<[f64; 4]> {
+    let own = || place.coords.is_none().then(|| s.bounds()).flatten();
+    place
+        .bounds
+        .or_else(own)
+        .ok_or_else(|| Error::invalid("region", "the database is empty; `terraquilt ingest` brings a survey"))
 }

@@ -2,13 +2,14 @@
 
 use super::change::{Call, Ingest, Outcome, find_survey};
 use super::commit::{Plan, Retiled};
-use super::database::{Policy, Writing};
+use super::database::Policy;
 use super::declare::{agree, crs_of, declare, fits, one_vertical_datum};
 use super::head::{Declaration, Head, Tile};
 use super::resample::warp_of;
 use super::root::SurveyEntry;
 use super::tile::{Directory, write_tile};
 use super::view::Tables;
+use super::writing::Writing;
 use crate::base::{Error, Result};
 use crate::height::frame::CellRect;
 use crate::height::lod::SurveyNumber;

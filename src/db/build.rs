@@ -36,6 +36,8 @@ pub struct Built {
     pub changed: Vec<(Place, Option<PatchEntry>, Option<PatchEntry>)>,
     /// Pages of the previous state that are dead now.
     pub dead: Vec<PageRef>,
+    /// Posts of the survey that may have changed.
+    pub dirty: CellRect,
     /// What resampling did to the samples that changed, if the survey is resampled and it was asked for.
     pub resampling: Option<Resampling>,
 }
@@ -473,7 +475,7 @@ impl Builder<'_> {
             patches,
             pages: list.into_iter().collect(),
         };
-        Ok(Built { head, pages, changed: self.changed, dead, resampling: None })
+        Ok(Built { head, pages, changed: self.changed, dead, dirty: self.dirty, resampling: None })
     }
 }
 

@@ -1,9 +1,11 @@
 //! What a commit does: ingest, replace, remove, set. One survey's samples change in one commit.
 
-use super::database::{Db, Writing};
+use super::contradictions::Contradiction;
+use super::database::Db;
 use super::resample::Resampling;
 use super::root::SurveyEntry;
 use super::view::{Tables, View};
+use super::writing::Writing;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{Crs, DatumChoice};
@@ -94,6 +96,8 @@ pub struct Outcome {
     /// What resampling did to the samples that came; absent if nothing was resampled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resampling: Option<Resampling>,
+    /// Surveys that say other things of the ground that the files cover, beyond the stated accuracies.
+    pub contradictions: Vec<Contradiction>,
     pub warnings: Vec<String>,
 }
 

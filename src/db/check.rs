@@ -10,8 +10,10 @@ use super::view::{Rules, Tables, View};
 use crate::base::{Error, Result};
 use crate::height::cells::Fill;
 use crate::height::lod::{Place, SurveyNumber, cover, cutter};
+use crate::store::catalog::Version;
 use crate::store::disk::{Disk, Finished, Growing};
 use crate::store::quadtree::{Node, Record, check as check_tree};
+use crate::store::record::{VersionRecord, record_name};
 use crate::store::segment::{PageRef, Pages, SegmentKind, SegmentWriter, file_name};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -71,6 +73,7 @@ pub fn verify(db: &Db, s: &Snapshot, progress: &Progress) -> Result<Report> {
         r.ok = r.problems.is_empty();
         return Ok(r);
     };
+    record(db, version, &mut r)?;
     pages(db, s, version.root, &mut r)?;
     if r.problems.is_empty() {
         for e in s.entries().map(|e| e.number).collect::<Vec<_>>() {
@@ -87,6 +90,27 @@ pub fn verify(db: &Db, s: &Snapshot, progress: &Progress) -> Result<Report> {
     }
     r.ok = r.problems.is_empty();
     Ok(r)
+}
+
+/// The record of the version, if it has one, says what the catalog says. Counters may have been ahead of it: a restored
+/// version keeps those of the database that it came from.
+fn record(db: &Db, version: &Version, r: &mut Report) -> Result<()> {
+    let name = record_name(version.number);
+    let Some((_, length)) = db.disk().names()?.into_iter().find(|(n, _)| *n == name) else { return Ok(()) };
+    r.count("records", 1);
+    let read = VersionRecord::read(db.disk(), &name, length);
+    let Some(record) = r.found(&name, read)? else { return Ok(()) };
+    let catalog = db.catalog_for_reading()?;
+    let same = record.version == *version
+        && record.files == catalog.files(version.number)?
+        && record.constants == catalog.constants()?;
+    if !same {
+        r.problem(
+            "the record says otherwise than the catalog; remove it, the next commit writes it anew",
+            name,
+        );
+    }
+    Ok(())
 }
 
 /// Reads every page of the version once, and adds up the bytes of each file.

@@ -2,13 +2,14 @@
 
 use super::build::{Before, Built, Input, build};
 use super::change::{Call, Outcome};
-use super::database::{Publication, Writing};
+use super::contradictions::Arriving;
 use super::head::{Declaration, Head, Tile, check_world};
 use super::reader::block_cache;
 use super::root::{Root, SurveyEntry};
 use super::tile::Directory;
-use super::update::{Draft, Rebuilt};
-use super::view::Tables;
+use super::update::{Changes, Draft, Rebuilt};
+use super::view::{Tables, View};
+use super::writing::{Publication, Writing};
 use crate::base::Result;
 use crate::base::date::Date;
 use crate::height::frame::CellRect;
@@ -41,7 +42,7 @@ pub(super) struct Retiled {
     pub tiles: Vec<Tile>,
     /// Delivered posts that may have changed.
     pub dirty: CellRect,
-    /// Whether to compare resampled posts with the samples that came.
+    /// Whether to compare what came: resampled posts with its samples, its ground with that of other surveys.
     pub compare: bool,
     /// Pages of tiles that left.
     pub dead: Vec<PageRef>,
@@ -70,7 +71,7 @@ impl Writing {
         }
         let mut survey_segment = None;
         let mut rebuilt = None;
-        let mut resampling = None;
+        let (mut resampling, mut contradictions) = (None, Vec::new());
         let mut subject = gone.iter().chain(&attributes).next().map(|e| e.number);
         if let Some(r) = retiled {
             let (date, precedence, since) = (r.date, r.precedence, r.since);
@@ -92,6 +93,7 @@ impl Writing {
                     Ok((t, d))
                 })
                 .collect::<Result<Vec<_>>>()?;
+            let directories = tiles.iter().map(|(_, d)| d.clone()).collect();
             let page = |at| view.patch_page(r.survey, at);
             let input = Input {
                 kind: db.kind(),
@@ -103,9 +105,21 @@ impl Writing {
                 cache: &cache,
                 stamp: 0,
             };
-            let Built { head, pages, changed, dead: built_dead, resampling: found } =
+            let compare = r.compare;
+            let Built { head, pages, changed, dead: built_dead, dirty, resampling: found } =
                 build(input, &view.files, &mut segment, progress)?;
             resampling = found;
+            if compare {
+                let new = Arriving {
+                    survey: r.survey,
+                    head: &head,
+                    directories,
+                    pages: &pages,
+                    dirty,
+                    segment: &segment,
+                };
+                contradictions = self.contradictions(&new, db.unit(), db.crs().unit)?;
+            }
             let precedence_rank = db.policy().precedence(date, precedence);
             let geometry = head.geometry(precedence_rank);
             check_world(&geometry, &head.declaration.name)?;
@@ -144,35 +158,7 @@ impl Writing {
         // Write what the set makes of it.
         let derived_number = self.counters.file + 1 + u32::from(survey_segment.is_some());
         let mut derived = SegmentWriter::create(db.disk(), derived_number, SegmentKind::Derived)?;
-        let mut lists: BTreeMap<SurveyNumber, BTreeMap<_, _>> = BTreeMap::new();
-        for ((s, at), page) in &changes.tops {
-            if !lists.contains_key(s) {
-                let old: PageList =
-                    if view.entries().contains_key(s) { (**view.top_list(*s)?).clone() } else { Vec::new() };
-                lists.insert(*s, old.into_iter().collect());
-            }
-            let list = lists.get_mut(s).expect("it was just put there");
-            dead.extend(list.remove(at));
-            if let Some(page) = page {
-                list.insert(*at, derived.append(&page.encode(*at))?);
-            }
-        }
-        let mut entries = draft.entries.clone();
-        for (s, list) in lists {
-            let e = entries.get_mut(&s).expect("changed pages belong to surveys of the version");
-            if view.entries().contains_key(&s) {
-                dead.push(e.tops);
-            }
-            let mut bytes = Vec::new();
-            crate::store::table::put_list(&mut bytes, &list.into_iter().collect());
-            e.tops = derived.append(&bytes)?;
-        }
-        for (s, (live, dormant)) in &changes.counts {
-            if let Some(e) = entries.get_mut(s) {
-                e.live = e.live.saturating_add_signed(*live);
-                e.dormant = e.dormant.saturating_add_signed(*dormant);
-            }
-        }
+        let entries = write_tops(view, &draft, &changes, &mut derived, &mut dead)?;
         let live_before: u64 = view.entries().values().map(|e| e.live).sum();
         let old_root = view.tree.map(|t| t.page);
         let (gone_count, come_count) = (changes.gone.len() as u64, changes.come.len() as u64);
@@ -196,6 +182,7 @@ impl Writing {
             bytes_written: written,
             warnings,
             resampling,
+            contradictions,
             version: self.counters.version + 1,
             ..Outcome::default()
         };
@@ -246,6 +233,46 @@ impl Writing {
         }
         Ok(n)
     }
+}
+
+/// Writes the changed pages of the top tables; returns the surveys as the root page names them.
+pub(super) fn write_tops(
+    view: &View,
+    draft: &Draft,
+    changes: &Changes,
+    derived: &mut SegmentWriter,
+    dead: &mut Vec<PageRef>,
+) -> Result<BTreeMap<SurveyNumber, SurveyEntry>> {
+    let mut lists: BTreeMap<SurveyNumber, BTreeMap<_, _>> = BTreeMap::new();
+    for ((s, at), page) in &changes.tops {
+        if !lists.contains_key(s) {
+            let old: PageList =
+                if view.entries().contains_key(s) { (**view.top_list(*s)?).clone() } else { Vec::new() };
+            lists.insert(*s, old.into_iter().collect());
+        }
+        let list = lists.get_mut(s).expect("it was just put there");
+        dead.extend(list.remove(at));
+        if let Some(page) = page {
+            list.insert(*at, derived.append(&page.encode(*at))?);
+        }
+    }
+    let mut entries = draft.entries.clone();
+    for (s, list) in lists {
+        let e = entries.get_mut(&s).expect("changed pages belong to surveys of the version");
+        if view.entries().contains_key(&s) {
+            dead.push(e.tops);
+        }
+        let mut bytes = Vec::new();
+        crate::store::table::put_list(&mut bytes, &list.into_iter().collect());
+        e.tops = derived.append(&bytes)?;
+    }
+    for (s, (live, dormant)) in &changes.counts {
+        if let Some(e) = entries.get_mut(s) {
+            e.live = e.live.saturating_add_signed(*live);
+            e.dormant = e.dormant.saturating_add_signed(*dormant);
+        }
+    }
+    Ok(entries)
 }
 
 /// Says where a survey replaces a finer or more accurate one.

@@ -1,26 +1,28 @@
-//! A database directory: creating, opening, snapshots, the writer, prune.
+//! A database directory: creating, opening, snapshots.
 //!
 //! ```text
 //! DB/catalog.sqlite   versions and files          DB/segments/NNNNNNNN.tqs   pages, never changed
 //! DB/writer.lock      held by the one writer      DB/readers/V-PID-N         leases of readers
 //! ```
 
+use super::awaiting::AWAITING;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::LatticeUnit;
 use crate::height::patch::Kind;
-use crate::store::catalog::{Catalog, Commit, Counters, NamedFile, Sqlite, Version};
+use crate::store::catalog::{Catalog, Contents, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
-use crate::store::lock::{Lease, WriterLock, leased};
-use crate::store::segment::{Files, PageRef, SegmentWriter, file_name};
-use std::collections::{BTreeMap, HashMap};
+use crate::store::lock::Lease;
+use crate::store::segment::Files;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Version of the whole format; a newer one is refused.
-pub const FORMAT_VERSION: u32 = 1;
+/// The oldest and the newest version of the whole format that this program opens. New databases are of the newest.
+pub const FORMAT_OLDEST: u32 = 1;
+pub const FORMAT_NEWEST: u32 = 2;
 
 /// How surveys rank where no explicit precedence is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,6 +67,7 @@ pub struct Db {
     root: PathBuf,
     disk: Arc<dyn Disk>,
     catalog: CatalogOpener,
+    format: u32,
     crs: Crs,
     policy: Policy,
     kind: Kind,
@@ -77,7 +80,7 @@ pub(super) fn constants(kind: Kind) -> BTreeMap<&'static str, String> {
     use crate::height::{lod, surface};
     use crate::store::quadtree;
     [
-        ("format_version", FORMAT_VERSION.to_string()),
+        ("format_version", FORMAT_NEWEST.to_string()),
         ("derivation_version", super::root::DERIVATION_VERSION.to_string()),
         ("world_half_log2", "60".to_string()),
         ("tree_capacity", quadtree::CAPACITY.to_string()),
@@ -95,8 +98,50 @@ pub(super) fn constants(kind: Kind) -> BTreeMap<&'static str, String> {
 /// What an `init` may leave that was cut off.
 const LEFTOVERS: [&str; 4] = ["catalog.new", "catalog.new-wal", "catalog.new-shm", "catalog.new-journal"];
 
-fn catalog_path(root: &Path) -> PathBuf {
+/// The constant that tells databases apart: random, kept by backups, absent in those of earlier programs.
+pub(super) const IDENTITY: &str = "identity";
+
+/// 32 random hexadecimal digits.
+pub(super) fn new_identity() -> String {
+    use std::hash::{BuildHasher, Hasher, RandomState};
+    // Each state is seeded by the operating system.
+    let random = || RandomState::new().build_hasher().finish();
+    let mut h = blake3::Hasher::new();
+    for v in [random(), random(), u64::from(std::process::id())] {
+        h.update(&v.to_le_bytes());
+    }
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    h.update(&now.map_or(0, |d| d.as_nanos()).to_le_bytes());
+    h.finalize().to_hex()[..32].to_string()
+}
+
+/// Stands in a directory while a backup or copy into it is not finished.
+pub(super) const UNFINISHED: &str = "backup.unfinished";
+
+pub(super) fn catalog_path(root: &Path) -> PathBuf {
     root.join("catalog.sqlite")
+}
+
+/// Whether there are finished segments in a directory.
+fn holds_segments(root: &Path) -> Result<bool> {
+    let segments = root.join("segments");
+    Ok(segments.is_dir() && RealDisk::new(&segments).names()?.iter().any(|(name, _)| name.ends_with(".tqs")))
+}
+
+/// Puts a catalog with these contents into a directory that has none: it appears under its name when it is complete.
+pub(super) fn place_catalog(root: &Path, contents: &Contents) -> Result<()> {
+    let temporary = root.join("catalog.new");
+    for leftover in LEFTOVERS {
+        let _ = std::fs::remove_file(root.join(leftover));
+    }
+    Sqlite::create(&temporary)?.fill(contents)?;
+    std::fs::rename(&temporary, catalog_path(root)).map_err(|e| Error::io(catalog_path(root), e))?;
+    sync_directory(root)?;
+    // The directory's own name has to survive, too.
+    match root.canonicalize().ok().as_deref().and_then(Path::parent) {
+        Some(parent) => sync_directory(parent),
+        None => Ok(()),
+    }
 }
 
 impl Db {
@@ -110,8 +155,15 @@ impl Db {
             if catalog_path(root).exists() {
                 return Err(Error::invalid(root.display(), "is a database already"));
             }
+            if holds_segments(root)? {
+                return Err(Error::invalid(
+                    root.display(),
+                    "holds segments of a database whose catalog is gone; `terraquilt rebuild DB` makes it again",
+                ));
+            }
             // What an `init` leaves that was cut off is no reason to refuse.
-            let ours = |name: &str| name == "segments" || name == "readers" || LEFTOVERS.contains(&name);
+            let ours =
+                |name: &str| ["segments", "readers", AWAITING].contains(&name) || LEFTOVERS.contains(&name);
             if !entries.all(|e| e.is_ok_and(|e| e.file_name().to_str().is_some_and(ours))) {
                 return Err(Error::invalid(root.display(), "is not empty; give a new directory"));
             }
@@ -122,22 +174,15 @@ impl Db {
         let unit = LatticeUnit::for_crs(&options.crs);
         let mut constants: BTreeMap<String, String> =
             constants(options.patch).into_iter().map(|(k, v)| (k.to_string(), v)).collect();
+        constants.insert(IDENTITY.into(), new_identity());
         constants.insert("crs".into(), options.crs.code.clone());
         constants.insert("crs_unit".into(), options.crs.unit.to_string());
         constants.insert("policy".into(), options.policy.name().into());
         constants.insert("lattice_unit_log2".into(), unit.exponent.to_string());
-        // The catalog appears under its name only when it is complete.
-        let temporary = root.join("catalog.new");
-        for leftover in LEFTOVERS {
-            let _ = std::fs::remove_file(root.join(leftover));
-        }
-        drop(Sqlite::create(&temporary, &constants)?);
-        std::fs::rename(&temporary, catalog_path(root)).map_err(|e| Error::io(catalog_path(root), e))?;
-        sync_directory(root)?;
-        // The directory's own name has to survive, too.
-        if let Some(parent) = root.canonicalize().ok().as_deref().and_then(Path::parent) {
-            sync_directory(parent)?;
-        }
+        let counters = Counters { file: 0, survey: 0, version: 0 };
+        let (versions, operations) = (Vec::new(), Vec::new());
+        let contents = Contents { constants, versions, operations, counters, backup: None };
+        place_catalog(root, &contents)?;
         Db::open(root)
     }
 
@@ -151,6 +196,24 @@ impl Db {
             ));
         }
         if !path.exists() {
+            if root.join(AWAITING).exists() {
+                return Err(Error::missing(
+                    format!("a coordinate system in {}", root.display()),
+                    "it is chosen when the first survey comes (`terraquilt ingest`)",
+                ));
+            }
+            if root.join(UNFINISHED).exists() {
+                return Err(Error::missing(
+                    format!("catalog of {}", root.display()),
+                    "it is a backup that was cut off; run `terraquilt backup` again",
+                ));
+            }
+            if root.is_dir() && holds_segments(root)? {
+                return Err(Error::missing(
+                    format!("catalog of {}", root.display()),
+                    "restore catalog.sqlite, or run `terraquilt rebuild DB` to make it again from the other files",
+                ));
+            }
             return Err(Error::missing(
                 format!("database {}", root.display()),
                 "`terraquilt init DB` makes one",
@@ -179,10 +242,10 @@ impl Db {
                 "format_version is not a number; restore the catalog from a backup",
             )
         })?;
-        if format > FORMAT_VERSION {
+        if !(FORMAT_OLDEST..=FORMAT_NEWEST).contains(&format) {
             return Err(Error::unsupported(
                 root.display(),
-                format!("database format {format}, this program knows {FORMAT_VERSION}"),
+                format!("database format {format}, this program knows {FORMAT_OLDEST} to {FORMAT_NEWEST}"),
                 "use a newer terraquilt",
             ));
         }
@@ -231,6 +294,7 @@ impl Db {
             root: root.to_path_buf(),
             disk,
             catalog,
+            format,
             crs: Crs { code: get("crs")?.clone(), unit },
             policy,
             kind,
@@ -240,6 +304,10 @@ impl Db {
 
     pub fn path(&self) -> &Path {
         &self.root
+    }
+    /// Version of the format that the database was made with.
+    pub fn format(&self) -> u32 {
+        self.format
     }
     pub fn crs(&self) -> &Crs {
         &self.crs
@@ -270,7 +338,23 @@ impl Db {
 
     /// A version to read from: the latest, or the one asked for. Never blocked by writers, unmoved by them.
     pub fn snapshot(&self, at: Option<u64>) -> Result<Snapshot> {
-        let catalog = (self.catalog)(false)?;
+        let claim = self.claim(&*self.catalog_for_reading()?, at)?;
+        let files = claim.iter().flat_map(|c| &c.files).map(|f| (f.number, f.length));
+        let view = View::open(Files::new(self.disk.clone(), files), claim.as_ref().map(|c| c.version.root))?;
+        let (version, lease) = claim.map(|c| (c.version, c.lease)).unzip();
+        Ok(Snapshot {
+            view,
+            version,
+            unit: self.unit,
+            crs: self.crs.clone(),
+            policy: self.policy,
+            kind: self.kind,
+            _lease: lease.map(Arc::new),
+        })
+    }
+
+    /// Leaves a lease for the latest version, or the one asked for; `None` for version 0.
+    pub(super) fn claim(&self, catalog: &dyn Catalog, at: Option<u64>) -> Result<Option<Claim>> {
         loop {
             let version = match at {
                 None => catalog.latest()?,
@@ -282,90 +366,34 @@ impl Db {
                     )
                 })?),
             };
-            let Some(version) = version else {
-                let view = View::open(Files::new(self.disk.clone(), []), None)?;
-                return Ok(Snapshot {
-                    view,
-                    version: None,
-                    unit: self.unit,
-                    crs: self.crs.clone(),
-                    policy: self.policy,
-                    kind: self.kind,
-                    _lease: None,
-                });
-            };
+            let Some(version) = version else { return Ok(None) };
             let lease = Lease::take(&self.root, version.number)?;
             // Pruned between the look and the lease? Then look again. In this order: a version that is still there
             // had all its files a moment ago.
             let files = catalog.files(version.number)?;
-            if catalog.version(version.number)?.is_none() {
-                continue;
+            if catalog.version(version.number)?.is_some() {
+                return Ok(Some(Claim { version, files, lease }));
             }
-            let files = Files::new(self.disk.clone(), files.iter().map(|f| (f.number, f.length)));
-            let view = View::open(files, Some(version.root))?;
-            return Ok(Snapshot {
-                view,
-                version: Some(version),
-                unit: self.unit,
-                crs: self.crs.clone(),
-                policy: self.policy,
-                kind: self.kind,
-                _lease: Some(lease),
-            });
         }
     }
 
     pub(super) fn catalog_for_reading(&self) -> Result<Box<dyn Catalog>> {
         (self.catalog)(false)
     }
-
-    /// Takes the writer lock, removes leftovers, and opens the latest version.
-    pub(super) fn begin(&self, waiting: &mut dyn FnMut()) -> Result<Writing> {
-        let lock = WriterLock::take(&self.root, waiting)?;
-        let catalog = (self.catalog)(true)?;
-        let version = catalog.latest()?;
-        let files = match &version {
-            Some(v) => catalog.files(v.number)?,
-            None => Vec::new(),
-        };
-        let view = View::open(
-            Files::new(self.disk.clone(), files.iter().map(|f| (f.number, f.length))),
-            version.as_ref().map(|v| v.root),
-        )?;
-        let counters = catalog.counters()?;
-        let mut writing = Writing { lock, catalog, view, version, files, counters, swept: 0 };
-        writing.swept = writing.sweep(self)?;
-        Ok(writing)
+    /// Only under the writer lock.
+    pub(super) fn catalog_for_writing(&self) -> Result<Box<dyn Catalog>> {
+        (self.catalog)(true)
     }
-
-    /// Forgets versions and gives their bytes back. Keeps the latest, and every version that a reader holds.
-    pub fn prune(
-        &self,
-        choose: impl Fn(&[u64]) -> Vec<u64>,
-        waiting: &mut dyn FnMut(),
-    ) -> Result<PruneOutcome> {
-        let mut writing = self.begin(waiting)?;
-        let all: Vec<u64> = writing.catalog.versions()?.iter().map(|v| v.number).collect();
-        let held = leased(&self.root)?;
-        let latest = all.last().copied();
-        let mut gone = choose(&all);
-        gone.retain(|v| all.contains(v) && Some(*v) != latest);
-        let kept_for_readers: Vec<u64> = gone.iter().copied().filter(|v| held.contains(v)).collect();
-        gone.retain(|v| !held.contains(v));
-        if !gone.is_empty() {
-            writing.catalog.prune(&gone)?;
-        }
-        let freed = writing.swept + writing.sweep(self)?;
-        Ok(PruneOutcome { pruned: gone, kept_for_readers, bytes_freed: freed })
+    pub(super) fn shared_disk(&self) -> Arc<dyn Disk> {
+        self.disk.clone()
     }
 }
 
-/// What prune did.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct PruneOutcome {
-    pub pruned: Vec<u64>,
-    pub kept_for_readers: Vec<u64>,
-    pub bytes_freed: u64,
+/// A version that nobody prunes while this lives.
+pub(super) struct Claim {
+    pub version: Version,
+    pub files: Vec<NamedFile>,
+    lease: Lease,
 }
 
 /// One version of a database. Readers of the same version share nothing but files.
@@ -376,7 +404,7 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
-    _lease: Option<Lease>,
+    _lease: Option<Arc<Lease>>,
 }
 
 impl Snapshot {
@@ -400,6 +428,18 @@ impl Snapshot {
     pub fn kind(&self) -> Kind {
         self.kind
     }
+    /// The same version seen through other tables.
+    pub(super) fn seen_as(&self, view: View) -> Snapshot {
+        Snapshot {
+            view,
+            version: self.version.clone(),
+            unit: self.unit,
+            crs: self.crs.clone(),
+            policy: self.policy,
+            kind: self.kind,
+            _lease: self._lease.clone(),
+        }
+    }
     /// A survey by name or id prefix.
     pub fn survey(&self, name: &str) -> Result<&super::root::SurveyEntry> {
         super::change::find_survey(&self.view, name)
@@ -416,111 +456,5 @@ impl Snapshot {
     /// Head of a survey: declaration and tiles.
     pub fn head(&self, n: crate::height::lod::SurveyNumber) -> Result<Arc<super::head::Head>> {
         self.view.head(n).cloned()
-    }
-}
-
-/// What a commit makes visible.
-pub(super) struct Publication<'a> {
-    /// Segments that were written for it.
-    pub segments: Vec<SegmentWriter>,
-    pub root: PageRef,
-    /// Pages of the version before that this one does not read.
-    pub dead: Vec<PageRef>,
-    /// Number of the survey that changed; 0 if none did.
-    pub survey: u32,
-    pub action: String,
-    pub operation: Option<&'a str>,
-}
-
-/// The writer's side of one commit.
-pub(super) struct Writing {
-    #[allow(dead_code, reason = "held for its effect until the commit is over")]
-    lock: WriterLock,
-    pub catalog: Box<dyn Catalog>,
-    pub view: View,
-    pub version: Option<Version>,
-    files: Vec<NamedFile>,
-    pub counters: Counters,
-    /// Bytes of leftovers that were removed at the start.
-    swept: u64,
-}
-
-impl Writing {
-    /// The number of the next segment file.
-    pub fn next_file(&self) -> u32 {
-        self.counters.file + 1
-    }
-
-    /// Refuses to start what cannot end.
-    pub fn need_space(&self, db: &Db, bytes: u64) -> Result<()> {
-        match db.disk.free_bytes()? {
-            Some(free) if free < bytes => Err(Error::NoSpace { place: db.disk.place(), wanted: bytes, free }),
-            _ => Ok(()),
-        }
-    }
-
-    /// Removes what a change was writing that did not become a version: on a full disk, the room it took. Only temporary
-    /// names: after a commit that failed, whether a finished file is named is for the next writer to find out.
-    pub fn discard_temporaries(&self, db: &Db) {
-        for (name, _) in db.disk.names().unwrap_or_default() {
-            if name.ends_with(".tmp") {
-                let _ = db.disk.remove(&name);
-            }
-        }
-    }
-
-    /// Removes files that no version names. Skipped while a reader holds a version that the catalog has forgotten.
-    pub fn sweep(&self, db: &Db) -> Result<u64> {
-        let kept: Vec<u64> = self.catalog.versions()?.iter().map(|v| v.number).collect();
-        if leased(&db.root)?.iter().any(|v| !kept.contains(v)) {
-            return Ok(0);
-        }
-        let named: std::collections::HashSet<String> =
-            self.catalog.all_files()?.iter().map(|(n, _)| file_name(*n)).collect();
-        let mut freed = 0;
-        for (name, len) in db.disk.names()? {
-            let ours = name.ends_with(".tqs") || name.ends_with(".tmp");
-            if ours && !named.contains(&name) {
-                db.disk.remove(&name)?;
-                freed += len;
-            }
-        }
-        if freed > 0 {
-            db.disk.sync_names()?;
-        }
-        Ok(freed)
-    }
-
-    /// Makes the segments durable, then commits the version that names them.
-    pub fn publish(&mut self, db: &Db, p: Publication) -> Result<()> {
-        let mut live: HashMap<u32, (u64, u64)> =
-            self.files.iter().map(|f| (f.number, (f.length, f.live))).collect();
-        let mut last = self.counters.file;
-        for segment in p.segments {
-            let number = segment.number();
-            let pages = segment.len() - crate::store::segment::HEADER_BYTES;
-            let length = segment.finish(db.disk())?;
-            live.insert(number, (length, pages));
-            last = last.max(number);
-        }
-        for page in p.dead {
-            if let Some((_, bytes)) = live.get_mut(&page.file) {
-                *bytes = bytes.saturating_sub(u64::from(page.len));
-            }
-        }
-        let number = self.counters.version + 1;
-        let mut files: Vec<NamedFile> = live
-            .into_iter()
-            .filter(|(_, (_, bytes))| *bytes > 0)
-            .map(|(number, (length, live))| NamedFile { number, length, live })
-            .collect();
-        files.sort_unstable_by_key(|f| f.number);
-        let made_at = std::time::SystemTime::now()
-            .duration_since(std::time::UNIX_EPOCH)
-            .map_or(0, |d| d.as_secs() as i64);
-        let operation = p.operation.map_or_else(|| format!("commit-{number}"), str::to_string);
-        let counters = Counters { file: last, survey: self.counters.survey.max(p.survey), version: number };
-        let version = Version { number, operation, made_at, action: p.action, root: p.root };
-        self.catalog.commit(&Commit { version, files, counters })
     }
 }

@@ -86,6 +86,18 @@ pub fn declare(
         };
         (lattice, Some(resampled))
     };
+    if db.format() < 2 && (resampled.is_some() || vertical_datum.is_some()) {
+        let what = if resampled.is_some() { "in another system" } else { "with a vertical datum" };
+        return Err(Error::unsupported(
+            &first.file,
+            format!(
+                "a survey {what} needs database format 2, {} is of format {}",
+                db.path().display(),
+                db.format()
+            ),
+            "make a new database with `terraquilt init` and ingest what `export --survey` gives back of the old one",
+        ));
+    }
     let own = match &resampled {
         None => samples,
         Some(_) => Delivered { sample_type: SampleType::F32, scale: 1.0, offset: 0.0 },

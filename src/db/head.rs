@@ -323,6 +323,15 @@ impl Head {
         self.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, t| r.union(&t.posts))
     }
 
+    /// The rectangle of the survey's own posts: the delivered ones, or, where they are resampled, those around the core.
+    pub fn own_posts(&self) -> CellRect {
+        let c = self.core;
+        match &self.declaration.resampled {
+            None => self.posts(),
+            Some(_) => CellRect::new(c.i0 - 1, c.j0 - 1, c.i1 + 2, c.j1 + 2),
+        }
+    }
+
     pub fn valid(&self) -> u64 {
         self.tiles.iter().map(|t| t.valid).sum()
     }

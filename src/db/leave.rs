@@ -2,9 +2,9 @@
 
 use super::change::{Call, Outcome};
 use super::commit::{Plan, Retiled};
-use super::database::Writing;
 use super::head::Tile;
 use super::root::SurveyEntry;
+use super::writing::Writing;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::store::segment::{PageRef, SegmentKind, SegmentWriter};

@@ -65,12 +65,7 @@ pub fn surveys(s: &Snapshot) -> Result<Vec<SurveyRow>> {
             let head = s.view.head(e.number)?;
             let d = &head.declaration;
             let delivered = head.posts();
-            // The posts of a resampled survey: those around its core.
-            let core = e.geometry.core;
-            let posts = match &d.resampled {
-                None => delivered,
-                Some(_) => CellRect::new(core.i0 - 1, core.j0 - 1, core.i1 + 2, core.j1 + 2),
-            };
+            let posts = head.own_posts();
             let corners = CellRect::new(posts.i0, posts.j0, posts.i1 - 1, posts.j1 - 1);
             let b = d.frame.bounds(&corners);
             let size = s.unit.size();
@@ -201,7 +196,7 @@ pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
     use crate::store::quadtree::Node;
     let mut i = Info {
         path: db.path().display().to_string(),
-        format_version: super::database::FORMAT_VERSION,
+        format_version: db.format(),
         derivation_version: super::root::DERIVATION_VERSION,
         crs: s.crs.code.clone(),
         policy: s.policy.name(),

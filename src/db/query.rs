@@ -1,16 +1,19 @@
 //! Questions: which patches a region needs within a tolerance, what changed since, how high it is.
 
 use super::database::Snapshot;
+use super::seams::Fields;
+use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
 use crate::base::lattice::Bounds;
+use crate::base::polygon::Polygon;
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
 use crate::height::crs::AxisUnit;
-use crate::height::lod::cut::{Camera, Constant, Cut, Region};
+use crate::height::lod::cut::{Camera, Constant, Cut, ErrorRaster, Foci, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
-    Blend, Evaluation, Hessian, Hood, How, KAPPA, Patch, Sheet, Source, Surface, SurveyField,
+    Blend, Evaluation, Hessian, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
 use crate::store::quadtree::{Domains, Record, walk};
 use quick_cache::sync::Cache;
@@ -25,6 +28,10 @@ pub enum Tolerance {
     Constant(f64),
     /// Pixels on a screen.
     Camera(Camera),
+    /// Little around some places, more farther away.
+    Foci(Foci),
+    /// What a raster says, in the CRS of the database.
+    Raster(Arc<ErrorRaster>),
 }
 
 /// Where is asked, in the CRS of the database.
@@ -34,6 +41,8 @@ pub enum Area {
     Everything,
     /// xmin, ymin, xmax, ymax.
     Box([f64; 4]),
+    /// The inside of a polygon. Patches are those whose domain meets it; what is made of them is cut along it.
+    Polygon(Arc<Polygon>),
 }
 
 impl Area {
@@ -42,9 +51,33 @@ impl Area {
         match self {
             Area::Everything => None,
             Area::Box(b) => Some(*b),
+            Area::Polygon(p) => Some(p.bounds()),
         }
     }
+
+    /// Whether a point lies in it; borders belong to it.
+    pub fn contains(&self, p: [f64; 2]) -> bool {
+        match self {
+            Area::Everything => true,
+            Area::Box(b) => b[0] <= p[0] && p[0] <= b[2] && b[1] <= p[1] && p[1] <= b[3],
+            Area::Polygon(polygon) => polygon.contains(p),
+        }
+    }
+
+    /// A convex region around it; `None`: everything.
+    pub(super) fn convex(&self) -> Option<Region> {
+        let hull = match self {
+            Area::Polygon(p) => Region::hull(p.points().collect()),
+            _ => Region::from_box(self.bounds()?),
+        };
+        // A hull of many corners costs more than it spares.
+        let few = hull.polygon.len() <= HULL_CORNERS_MAX;
+        Some(if few { hull } else { Region::from_box(self.bounds()?) })
+    }
 }
+
+/// Corners of a convex region that is worth more than a box.
+const HULL_CORNERS_MAX: usize = 32;
 
 impl From<Option<[f64; 4]>> for Area {
     fn from(b: Option<[f64; 4]>) -> Area {
@@ -69,7 +102,7 @@ pub struct Selection {
     pub nodes: u64,
     /// Records that were looked at, those stored in several nodes counted each time.
     pub tested: u64,
-    /// The region that was meant: a convex polygon in CRS units.
+    /// The region that was meant: a convex polygon in CRS units, around the area that was asked.
     pub region: Region,
 }
 
@@ -130,15 +163,16 @@ impl Snapshot {
     }
 
     fn region(&self, query: &Query) -> Result<Region> {
-        let whole = match query.area.bounds() {
-            Some(b) => {
+        let whole = match query.area.convex() {
+            Some(region) => {
+                let b = region.bounds();
                 if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
                     return Err(Error::invalid(
                         "--bbox",
                         format!("{b:?} is empty; give xmin,ymin,xmax,ymax"),
                     ));
                 }
-                Region::from_box(b)
+                region
             }
             None => match self.bounds() {
                 // A hair larger, so that the border posts are in.
@@ -171,15 +205,40 @@ impl Snapshot {
         {
             return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
         }
-        self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)
+        let mut found = self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
+        if let Area::Polygon(polygon) = &query.area {
+            let (rules, size) = (Rules(&self.view), self.unit.size());
+            found.records.retain(|r| {
+                polygon.meets(&rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size]))
+            });
+        }
+        Ok(found)
     }
 
-    fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
+    /// The part of an area that the camera of a question sees.
+    pub(super) fn in_view(&self, query: &Query) -> Result<Area> {
+        if let Area::Polygon(_) = query.area {
+            return Err(Error::unsupported(
+                "GLB",
+                "what a camera sees is not cut along a polygon",
+                "give a --bbox in the database's CRS with the camera",
+            ));
+        }
+        let seen = Region::hull(self.region(query)?.polygon).polygon;
+        if seen.len() < 3 {
+            return Err(Error::invalid("--eye", "the camera sees nothing of the region"));
+        }
+        Ok(Area::Polygon(Arc::new(Polygon::new("view of the camera", vec![vec![seen]])?)))
+    }
+
+    pub(super) fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
         let z = self.z_range().unwrap_or([0.0; 2]);
         match tolerance {
             // Without bound means: the coarsest surface there is.
             Tolerance::Constant(c) => Box::new(Constant(c.min(f64::MAX))),
             Tolerance::Camera(c) => Box::new(c.over(z[0], z[1])),
+            Tolerance::Foci(f) => Box::new(f.clone().scaled(|p| metres_per_unit(self.crs.unit, p))),
+            Tolerance::Raster(r) => Box::new(r.clone()),
         }
     }
 
@@ -286,10 +345,17 @@ impl Snapshot {
                 floor: r.floor,
             })
             .collect();
-        let surface = Surface::new(self.kind(), origin, self.unit, fields, patches, how.blend);
+        let mut surface = Surface::new(self.kind(), origin, self.unit, fields, patches, how.blend);
+        surface.corrected = how.seams != Seams::Off;
         let data = Data {
             view: &self.view,
             kind: self.kind(),
+            seams: Fields {
+                view: &self.view,
+                unit: self.unit,
+                axis: self.crs.unit,
+                consistent: how.seams == Seams::Consistent,
+            },
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
             shapes: Cache::new(shapes_cached(self.kind())),
@@ -306,6 +372,26 @@ impl Snapshot {
         tolerance: &Tolerance,
         how: impl Into<How>,
     ) -> Result<Vec<Option<Evaluation>>> {
+        self.scattered(points, tolerance, how.into(), false)
+    }
+
+    /// As [`Snapshot::heights`], with the gradients of the surface.
+    pub fn slopes(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        how: impl Into<How>,
+    ) -> Result<Vec<Option<Evaluation>>> {
+        self.scattered(points, tolerance, how.into(), true)
+    }
+
+    fn scattered(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        how: How,
+        slopes: bool,
+    ) -> Result<Vec<Option<Evaluation>>> {
         if let Tolerance::Constant(c) = tolerance
             && (c.is_nan() || *c < 0.0)
         {
@@ -314,21 +400,17 @@ impl Snapshot {
         let mut out = vec![None; points.len()];
         let mut order: Vec<usize> =
             (0..points.len()).filter(|k| points[*k].iter().all(|v| v.is_finite())).collect();
-        let finest = self
-            .entries()
-            .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
-            .fold(f64::INFINITY, f64::min);
-        self.heights_within(points, &mut order, tolerance, how.into(), finest * 1024.0, &mut out)?;
+        self.scattered_within(points, &mut order, tolerance, how, slopes, &mut out)?;
         Ok(out)
     }
 
-    fn heights_within(
+    fn scattered_within(
         &self,
         points: &[[f64; 2]],
         order: &mut [usize],
         tolerance: &Tolerance,
         how: How,
-        side_max: f64,
+        slopes: bool,
         out: &mut [Option<Evaluation>],
     ) -> Result<()> {
         if order.is_empty() || self.view.tree.is_none() {
@@ -336,14 +418,19 @@ impl Snapshot {
         }
         let b = crate::height::lod::cut::bounds(&order.iter().map(|k| points[*k]).collect::<Vec<_>>());
         let (w, h) = (b[2] - b[0], b[3] - b[1]);
+        let finest = self
+            .entries()
+            .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
+            .fold(f64::INFINITY, f64::min);
+        let side_max = finest * 1024.0;
         if w.max(h) > side_max && order.len() > 1 {
             let axis = usize::from(h > w);
             let mid = (b[axis] + b[axis + 2]) / 2.0;
             order.sort_by(|x, y| (points[*x][axis] > mid).cmp(&(points[*y][axis] > mid)).then(x.cmp(y)));
             let split = order.partition_point(|k| points[*k][axis] <= mid);
             let (left, right) = order.split_at_mut(split);
-            self.heights_within(points, left, tolerance, how, side_max, out)?;
-            return self.heights_within(points, right, tolerance, how, side_max, out);
+            self.scattered_within(points, left, tolerance, how, slopes, out)?;
+            return self.scattered_within(points, right, tolerance, how, slopes, out);
         }
         // A region around the points: any superset gives the same heights.
         let pad =
@@ -354,7 +441,8 @@ impl Snapshot {
         let selection = self.select_in(region, &*cut, how.blend)?;
         let ground = self.ground(selection, cut, how);
         let here: Vec<[f64; 2]> = order.iter().map(|k| points[*k]).collect();
-        for (k, e) in order.iter().zip(ground.heights(&here)?) {
+        let found = if slopes { ground.slopes(&here)? } else { ground.heights(&here)? };
+        for (k, e) in order.iter().zip(found) {
             out[*k] = e;
         }
         Ok(())
@@ -373,6 +461,7 @@ fn shapes_cached(kind: Kind) -> usize {
 struct Data<'a> {
     view: &'a View,
     kind: Kind,
+    seams: Fields<'a>,
     surveys: Vec<SurveyNumber>,
     patches: Vec<(usize, Place)>,
     shapes: Cache<usize, Shape>,
@@ -389,6 +478,10 @@ impl Source for Data<'_> {
         let shape = Shape::new(self.kind, z);
         self.shapes.insert(patch, shape.clone());
         Ok(shape)
+    }
+
+    fn seam(&self, survey: usize, i: i32, j: i32) -> Result<Arc<seam::Field>> {
+        self.seams.field(self.surveys[survey], i, j)
     }
 
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>> {

@@ -37,16 +37,6 @@ pub fn block_cache(bytes: u64) -> BlockCache {
 /// Finds the page of a sample block of a level above 0.
 pub type LevelBlocks<'a> = &'a (dyn Fn(u8, i64, i64) -> Result<Option<PageRef>> + Sync);
 
-/// What is read where there is no sample.
-#[derive(Clone, Copy, PartialEq)]
-enum Voids {
-    /// The fill; 0 where there is none.
-    AsStored,
-    /// NaN where there is no fill (which is stored as 0, so a fill of 0 counts as none); else the fill.
-    OpenAsNan,
-    AllAsNan,
-}
-
 /// Which posts or vertices of a survey are meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Layer {
@@ -58,6 +48,16 @@ enum Layer {
 
 /// Level by which blocks of delivered samples are told apart in the cache from those that were resampled from them.
 const DELIVERED: u8 = u8::MAX;
+
+/// What is read where there is no sample.
+#[derive(Clone, Copy, PartialEq)]
+enum Voids {
+    /// The fill; 0 where there is none.
+    AsStored,
+    /// NaN where there is no fill (which is stored as 0, so a fill of 0 counts as none); else the fill.
+    OpenAsNan,
+    AllAsNan,
+}
 
 /// The samples of one survey. Where it was delivered in another system, its posts are resampled ones: they are found like
 /// the levels above them, and the tiles hold what they were made of.

@@ -1,13 +1,14 @@
 //! A region of the surface as triangles: the one surface function, its outline and its posts handed to `mesh/`.
 
 use super::Snapshot;
-use super::query::{Ground, Query, Tolerance};
+use super::query::{Area, Ground, Query, Tolerance};
 use super::view::{Rules, Tables};
 use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::cover::rects;
+use crate::height::lod::cut::Region;
 use crate::height::lod::{Cells, World};
-use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, outline, triangulate};
+use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, outline, outline_within, triangulate};
 use std::sync::Mutex;
 
 /// Posts that one mesh is measured at, at most.
@@ -20,8 +21,13 @@ pub struct RegionMesh {
     pub origin: [f64; 3],
     /// Certified error of the surface: the largest of the contributing patches over the measured posts, metres.
     pub surface_error_m: f64,
+    /// Largest correction of seams over the measured posts, metres; part of surface_error_m.
+    pub correction_m: f64,
     /// surface_error_m + mesh.error_m.
     pub error_m: f64,
+    /// The largest part of the tolerance that surface and mesh use together at any post or vertex; above 1 where the
+    /// surveys are less accurate than was asked. `None` if the tolerance is the same everywhere.
+    pub tolerance_used: Option<f64>,
 }
 
 /// Where surveys meet, the surface changes over within a cell, most of it within a hundredth of one: near such walls the
@@ -30,6 +36,9 @@ pub const WALL_STEPS: f64 = 0.02;
 
 /// Distances from core' in cells, at which a wall is looked at: dense where the weight of a survey ends.
 const WALL_STATIONS: [f64; 6] = [0.5, 0.85, 0.95, 0.98, 0.99, 1.0];
+
+/// A cell without a height that is further than this share of the mesh's error from a plane over its corners has no wall.
+const WALL_SHARE: f64 = 0.125;
 
 /// Metres east and north of one CRS unit, at a place.
 pub fn metres_per_unit(unit: AxisUnit, at: [f64; 2]) -> [f64; 2] {
@@ -50,13 +59,18 @@ struct GroundField<'a> {
     origin: [f64; 2],
     scale: [f64; 2],
     failed: Mutex<Option<Error>>,
+    /// Where the tolerance is not the same everywhere: what the mesh may err at a place, and the most it may anywhere.
+    allowed: Option<(&'a (dyn Fn([f64; 2]) -> f64 + Sync), f64)>,
 }
 
 impl GroundField<'_> {
+    fn place(&self, p: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k| self.origin[k] + p[k] / self.scale[k])
+    }
+
     fn ask(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>, slopes: bool) {
         out.clear();
-        let at: Vec<[f64; 2]> =
-            points.iter().map(|p| [0, 1].map(|k| self.origin[k] + p[k] / self.scale[k])).collect();
+        let at: Vec<[f64; 2]> = points.iter().map(|p| self.place(*p)).collect();
         match if slopes { self.ground.slopes(&at) } else { self.ground.heights(&at) } {
             Ok(found) => out.extend(found.into_iter().map(|e| {
                 e.map(|e| FieldSample {
@@ -80,27 +94,39 @@ impl Field for GroundField<'_> {
     fn heights(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
         self.ask(points, out, false);
     }
+    fn share(&self, p: [f64; 2]) -> f64 {
+        self.allowed.map_or(1.0, |(allowed, most)| (allowed(self.place(p)) / most).min(1.0))
+    }
 }
 
 /// Triangulates a region within a total error. The surface is taken at the accuracy of the least accurate survey there,
 /// which costs nothing: its certified error cannot be smaller everywhere. The mesh gets the rest. Where that leaves less than
 /// a tenth, the mesh gets half of what was asked, and the result says what the sum is.
+///
+/// A tolerance that varies is shared out in the same way at every point.
 pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) -> bool) -> Result<RegionMesh> {
-    let Tolerance::Constant(total) = query.tolerance else {
-        return Err(Error::unsupported(
-            "GLB",
-            "meshes need one tolerance for the whole region",
-            "give --error M; a camera's patches are listed by `terraquilt patches`",
-        ));
+    let (area, cut) = match &query.tolerance {
+        Tolerance::Constant(_) => (query.area.clone(), None),
+        t @ Tolerance::Camera(_) => (s.in_view(query)?, Some(s.cut(t))),
+        t => (query.area.clone(), Some(s.cut(t))),
     };
-    if !(total > 0.0 && total.is_finite()) {
-        return Err(Error::invalid("--error", format!("{total} m; a mesh needs a positive error")));
+    let accuracy = least_accurate(s, area.bounds());
+    // What is left for the mesh.
+    let rest = |total: f64| if accuracy <= total * 0.9 { total - accuracy } else { total / 2.0 };
+    let tolerance = |p: [f64; 2]| cut.as_ref().map_or(f64::NAN, |c| c.at(p).min(TOLERANCE_M_MAX));
+    let least = match (&query.tolerance, &cut) {
+        (Tolerance::Constant(total), _) => *total,
+        (_, Some(cut)) => {
+            let region = area.convex().or_else(|| s.bounds().map(Region::from_box));
+            region.map_or(0.0, |r| cut.bounds(&r.polygon).0)
+        }
+        _ => 0.0,
+    };
+    if cut.is_none() && !(least > 0.0 && least.is_finite()) {
+        return Err(Error::invalid("--error", format!("{least} m; a mesh needs a positive error")));
     }
-    let accuracy = least_accurate(s, query.area.bounds());
-    let enough = accuracy <= total * 0.9;
-    let mesh_error_m = if enough { total - accuracy } else { total / 2.0 };
-    let surface = Tolerance::Constant(accuracy.min(total));
-    let ground = s.surface(&Query { tolerance: surface, ..query.clone() })?;
+    let query = Query { area, tolerance: Tolerance::Constant(accuracy.min(least)), how: query.how };
+    let ground = s.surface(&query)?;
     let b = ground.selection.region.bounds();
     if !b[0].is_finite() || ground.selection.records.is_empty() {
         return Err(Error::invalid(
@@ -111,16 +137,41 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let origin = [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0];
     let scale = metres_per_unit(s.crs().unit, origin);
     let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);
-    let (quads, posts, step) = outline_and_posts(s, &ground, b, &local, scale)?;
-    let clip = query.area.bounds().map(|_| {
-        let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
-        [lo[0], lo[1], hi[0], hi[1]]
-    });
-    let polygons = outline(&quads, clip)?;
-    let field = GroundField { ground: &ground, origin, scale, failed: Mutex::new(None) };
+    let place = |p: &[f64; 2]| [0, 1].map(|k| origin[k] + p[k] / scale[k]);
+    let (quads, mut posts, step) = outline_and_posts(s, &ground, b, &local, scale)?;
+    if let Area::Polygon(p) = &query.area {
+        posts.retain(|q| p.contains(place(q)));
+    }
+    let polygons = match &query.area {
+        Area::Everything => outline(&quads, None)?,
+        Area::Box(_) => {
+            let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
+            outline(&quads, Some([lo[0], lo[1], hi[0], hi[1]]))?
+        }
+        Area::Polygon(p) => {
+            let ring = |r: &Vec<[f64; 2]>| r.iter().map(|q| local(*q)).collect::<Vec<_>>();
+            let parts: Vec<Vec<Vec<[f64; 2]>>> =
+                p.parts().iter().map(|part| part.iter().map(ring).collect()).collect();
+            outline_within(&quads, &parts)?
+        }
+    };
+    let allowed = |p: [f64; 2]| rest(tolerance(p));
+    let mesh_error_m = match &cut {
+        None => rest(least),
+        Some(_) => {
+            most_allowed(&allowed, posts.iter().chain(polygons.iter().flat_map(|p| &p.outer)).map(place))?
+        }
+    };
+    let field = GroundField {
+        ground: &ground,
+        origin,
+        scale,
+        failed: Mutex::new(None),
+        allowed: cut.as_ref().map(|_| (&allowed as &(dyn Fn([f64; 2]) -> f64 + Sync), mesh_error_m)),
+    };
     let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
     options.wall_m = step * WALL_STEPS;
-    options.posts.extend(walls(s, b, &local)?);
+    options.posts.extend(walls(s, &ground, b, &local, mesh_error_m * WALL_SHARE)?);
     let mesh = triangulate(&field, &polygons, &options, progress);
     if let Some(e) = field.failed.into_inner().unwrap_or(None) {
         return Err(e);
@@ -132,12 +183,19 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
             "no cell with data lies in it; `terraquilt surveys` shows where the surveys are",
         ));
     }
-    // What the surface promises at its posts.
-    let here: Vec<[f64; 2]> = posts.iter().map(|p| [0, 1].map(|k| origin[k] + p[k] / scale[k])).collect();
-    let mut surface_error_m: f64 = 0.0;
+    // What the surface promises at its posts and at the vertices.
+    let vertices = mesh.positions.iter().map(|p| place(&[p[0], p[1]]));
+    let here: Vec<[f64; 2]> = posts.iter().map(place).chain(vertices).collect();
+    let (mut surface_error_m, mut correction_m, mut used) = (0.0f64, 0.0f64, 0.0f64);
     for chunk in here.chunks(1 << 20) {
-        for e in ground.heights(chunk)?.into_iter().flatten().filter(|e| e.certified) {
+        for (p, e) in chunk.iter().zip(ground.heights(chunk)?) {
+            let Some(e) = e.filter(|e| e.certified) else { continue };
             surface_error_m = surface_error_m.max(e.error_m);
+            correction_m = correction_m.max(e.correction_m.abs());
+            if cut.is_some() {
+                let ours = mesh.error_m / mesh_error_m * allowed(*p);
+                used = used.max((e.error_m + ours) / tolerance(*p));
+            }
         }
     }
     // Heights near zero keep their digits as 32-bit floats.
@@ -150,7 +208,35 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
         p[2] -= up;
     }
     let error_m = surface_error_m + mesh.error_m;
-    Ok(RegionMesh { mesh, origin: [origin[0], origin[1], up], surface_error_m, error_m })
+    let tolerance_used = cut.is_some().then_some(used);
+    Ok(RegionMesh {
+        mesh,
+        origin: [origin[0], origin[1], up],
+        surface_error_m,
+        correction_m,
+        error_m,
+        tolerance_used,
+    })
+}
+
+/// Tolerances above are as good as this one, metres.
+const TOLERANCE_M_MAX: f64 = 1e6;
+
+/// The most that a mesh may err at any of some places.
+fn most_allowed(
+    allowed: &dyn Fn([f64; 2]) -> f64,
+    mut places: impl Iterator<Item = [f64; 2]>,
+) -> Result<f64> {
+    places.try_fold(0.0f64, |most, p| {
+        let here = allowed(p);
+        if here > 0.0 {
+            return Ok(most.max(here));
+        }
+        Err(Error::invalid(
+            "tolerance",
+            format!("0 m at {}, {}; a mesh needs a positive error everywhere", p[0], p[1]),
+        ))
+    })
 }
 
 /// The largest accuracy number of the surveys that meet a region, metres.
@@ -218,8 +304,14 @@ fn outline_and_posts(
 }
 
 /// Points along the outer side of every survey's ring, where one survey gives way to another: candidates for vertices
-/// that no lattice of posts would hit.
-fn walls(s: &Snapshot, b: [f64; 4], local: &dyn Fn([f64; 2]) -> [f64; 2]) -> Result<Vec<[f64; 2]>> {
+/// that no lattice of posts would hit. Where surveys agree to `flat_m`, or were bent to agree, there is no wall and no candidate.
+fn walls(
+    s: &Snapshot,
+    ground: &Ground,
+    b: [f64; 4],
+    local: &dyn Fn([f64; 2]) -> [f64; 2],
+    flat_m: f64,
+) -> Result<Vec<[f64; 2]>> {
     let rules = Rules(&s.view);
     let size = s.unit().size();
     let bounds = region_bounds(b, size);
@@ -253,20 +345,45 @@ fn walls(s: &Snapshot, b: [f64; 4], local: &dyn Fn([f64; 2]) -> [f64; 2]) -> Res
                 }
             }
         }
-        for (i, j) in ring {
-            // Both ends of each station: the cell may be left towards any side.
-            let stations: Vec<f64> = WALL_STATIONS.iter().flat_map(|t| [*t, 1.0 - *t]).collect();
-            for y in &stations {
-                for x in &stations {
-                    let p = g.frame.post(i, j);
-                    let q = [
-                        p.x as f64 + x * g.frame.u.x as f64 + y * g.frame.v.x as f64,
-                        p.y as f64 + x * g.frame.u.y as f64 + y * g.frame.v.y as f64,
-                    ];
-                    let at = [q[0] * size, q[1] * size];
-                    if at[0] > b[0] && at[0] < b[2] && at[1] > b[1] && at[1] < b[3] {
-                        out.push(local(at));
-                    }
+        // Both ends of each station: the cell may be left towards any side.
+        let stations: Vec<f64> = WALL_STATIONS.iter().flat_map(|t| [*t, 1.0 - *t]).collect();
+        let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
+        let spots: Vec<[f64; 2]> = corners
+            .into_iter()
+            .chain(stations.iter().flat_map(|y| stations.iter().map(move |x| [*x, *y])))
+            .collect();
+        let ring: Vec<(i64, i64)> = ring.into_iter().collect();
+        for some in ring.chunks(1024) {
+            let at: Vec<[f64; 2]> = some
+                .iter()
+                .flat_map(|(i, j)| {
+                    let p = g.frame.post(*i, *j);
+                    spots.iter().map(move |[x, y]| {
+                        let (u, v) = (g.frame.u, g.frame.v);
+                        [
+                            (p.x as f64 + x * u.x as f64 + y * v.x as f64) * size,
+                            (p.y as f64 + x * u.y as f64 + y * v.y as f64) * size,
+                        ]
+                    })
+                })
+                .collect();
+            // Outside of the region no patches were selected: no height is asked there, and the cell is kept.
+            let held = |p: &[f64; 2]| p[0] > b[0] && p[0] < b[2] && p[1] > b[1] && p[1] < b[3];
+            let asked: Vec<[f64; 2]> = at.iter().filter(|p| held(p)).copied().collect();
+            let mut found = ground.heights(&asked)?.into_iter();
+            let z: Vec<Option<f64>> =
+                at.iter().map(|p| if held(p) { found.next().flatten().map(|e| e.z) } else { None }).collect();
+            for (at, z) in at.chunks_exact(spots.len()).zip(z.chunks_exact(spots.len())) {
+                let flat = if let [Some(z00), Some(z10), Some(z01), Some(z11)] = z[..4] {
+                    spots.iter().zip(z).all(|([x, y], z)| {
+                        let (left, right) = (z00 + (z01 - z00) * y, z10 + (z11 - z10) * y);
+                        z.is_some_and(|z| (z - (left + (right - left) * x)).abs() <= flat_m)
+                    })
+                } else {
+                    false
+                };
+                if !flat {
+                    out.extend(at[4..].iter().filter(|p| held(p)).map(|p| local(*p)));
                 }
             }
         }

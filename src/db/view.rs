@@ -3,6 +3,7 @@
 use super::head::Head;
 use super::reader::{BlockCache, SampleReader, block_cache};
 use super::root::{Root, SurveyEntry};
+use super::seams::SeamCache;
 use super::tile::Directory;
 use crate::base::lattice::{Bounds, Quad};
 use crate::base::{Error, Result};
@@ -123,6 +124,8 @@ pub struct View {
     top_pages: Cache<(SurveyNumber, PageAddress), Arc<TopPage>>,
     directories: Cache<PageRef, Arc<Directory>>,
     blocks: BlockCache,
+    /// Correction fields and what they are made of.
+    pub seams: SeamCache,
 }
 
 impl View {
@@ -140,6 +143,7 @@ impl View {
             top_pages: Cache::new(PAGES_CACHED),
             directories: Cache::new(1024),
             blocks: block_cache(BLOCK_BYTES_CACHED),
+            seams: SeamCache::new(),
             tree: root.tree,
             files,
             entries,

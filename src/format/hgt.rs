@@ -7,13 +7,11 @@
 //! Format and accuracy (16 m absolute, LE90): Farr et al., The Shuttle Radar Topography Mission, Reviews of
 //! Geophysics 45, 2007.
 
-use super::voids::Voids;
-use super::window;
+use super::input::Input;
+use super::raw::{Layout, RawGrid};
 use crate::base::{Error, Result};
 use crate::height::crs::Crs;
-use crate::height::source::{Affine, HeightSource, SampleType, Samples, SourceInfo, Window};
-use std::fs::File;
-use std::io::{Cursor, Read, Seek, SeekFrom};
+use crate::height::source::{Affine, SampleType, SourceInfo};
 use std::path::Path;
 
 const POST_BYTES: u64 = 2;
@@ -23,102 +21,47 @@ const SIDES: [u64; 3] = [1201, 3601, 7201];
 /// Published absolute vertical accuracy (LE90) of SRTM.
 const ACCURACY_M: f64 = 16.0;
 
-trait ReadSeek: Read + Seek + Send {}
-impl<T: Read + Seek + Send> ReadSeek for T {}
-
-/// One SRTM tile.
-pub struct Hgt {
-    info: SourceInfo,
-    bytes: Box<dyn ReadSeek>,
-    voids: Voids,
-}
-
-impl Hgt {
-    /// Opens a tile; its size is looked at, no sample is read.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] if the name does not give a corner, [`Error::Corrupt`] if the size is not that of a tile.
-    pub fn open(path: &Path) -> Result<Hgt> {
-        let file = File::open(path).map_err(|e| Error::io(path, e))?;
-        let span_bytes = file.metadata().map_err(|e| Error::io(path, e))?.len();
-        Hgt::new(path.display().to_string(), span_bytes, Box::new(file))
-    }
-
-    /// Opens a tile in memory; `name` gives the corner.
-    ///
-    /// # Errors
-    /// As [`Hgt::open`].
-    pub fn from_bytes(name: &str, bytes: Vec<u8>) -> Result<Hgt> {
-        Hgt::new(name.to_string(), bytes.len() as u64, Box::new(Cursor::new(bytes)))
-    }
-
-    fn new(file: String, span_bytes: u64, bytes: Box<dyn ReadSeek>) -> Result<Hgt> {
-        let Some(side) = SIDES.into_iter().find(|n| n * n * POST_BYTES == span_bytes) else {
-            let sizes: Vec<String> = SIDES.iter().map(|n| (n * n * POST_BYTES).to_string()).collect();
-            let reason = format!("{span_bytes} bytes, but an HGT tile has {}", sizes.join(" or "));
-            return Err(Error::corrupt(file, "size", reason));
-        };
-        let (south, west) = corner_of(&file).ok_or_else(|| {
-            let reason = "the name gives no corner; rename it to one like N44W072.hgt (south-west corner)";
-            Error::invalid(&file, reason)
-        })?;
-        let step_deg = 1.0 / (side - 1) as f64;
-        let info = SourceInfo {
-            file,
-            format: "HGT",
-            cols: side,
-            rows: side,
-            sample_type: SampleType::I16,
-            affine: Some(Affine {
-                origin: [f64::from(west), f64::from(south + 1)],
-                col_step: [step_deg, 0.0],
-                row_step: [0.0, -step_deg],
-            }),
-            crs: Some(Crs::from_epsg(4326)?),
-            nodata: Some(VOID),
-            scale: 1.0,
-            offset: 0.0,
-            accuracy_m: Some(ACCURACY_M),
-            product: Some("SRTM"),
-            vertical_datum: None,
-            vertical_unit_m: None,
-            notes: Vec::new(),
-        };
-        Ok(Hgt { info, bytes, voids: Voids::new(SampleType::I16, Some(VOID)) })
-    }
-}
-
-impl HeightSource for Hgt {
-    fn info(&self) -> &SourceInfo {
-        &self.info
-    }
-
-    fn set_nodata(&mut self, value: f64) {
-        self.info.nodata = Some(value);
-        self.voids = Voids::new(SampleType::I16, Some(value));
-        self.info.notes.extend(self.voids.note());
-    }
-
-    fn read(&mut self, w: Window) -> Result<Samples> {
-        window::check(&self.info, w)?;
-        let row_bytes = w.cols * POST_BYTES as usize;
-        let mut data = vec![0; row_bytes * w.rows];
-        // Whole rows follow one another in the file: all at once.
-        let whole_rows = w.cols as u64 == self.info.cols;
-        let run_bytes = if whole_rows { data.len() } else { row_bytes };
-        for (i, run) in data.chunks_exact_mut(run_bytes.max(1)).enumerate() {
-            let at = ((w.row + i as u64) * self.info.cols + w.col) * POST_BYTES;
-            self.bytes
-                .seek(SeekFrom::Start(at))
-                .and_then(|_| self.bytes.read_exact(run))
-                .map_err(|e| Error::io(&self.info.file, e))?;
-        }
-        for sample in data.chunks_exact_mut(POST_BYTES as usize) {
-            sample.reverse();
-        }
-        let valid = self.voids.valid(&data);
-        Ok(Samples { cols: w.cols, rows: w.rows, data, valid })
-    }
+/// Opens a tile; its size is looked at, no sample is read.
+///
+/// # Errors
+/// [`Error::Invalid`] if the name does not give a corner, [`Error::Corrupt`] if the size is not that of a tile.
+pub fn open(input: Input) -> Result<RawGrid> {
+    let file = input.file.clone();
+    let span_bytes = input.span_bytes();
+    let Some(side) = SIDES.into_iter().find(|n| n * n * POST_BYTES == span_bytes) else {
+        let sizes: Vec<String> = SIDES.iter().map(|n| (n * n * POST_BYTES).to_string()).collect();
+        let reason = format!("{span_bytes} bytes, but an HGT tile has {}", sizes.join(" or "));
+        return Err(Error::corrupt(file, "size", reason));
+    };
+    let (south, west) = corner_of(&file).ok_or_else(|| {
+        let reason = "the name gives no corner; rename it to one like N44W072.hgt (south-west corner)";
+        Error::invalid(&file, reason)
+    })?;
+    let step_deg = 1.0 / (side - 1) as f64;
+    let info = SourceInfo {
+        file,
+        format: "HGT",
+        cols: side,
+        rows: side,
+        sample_type: SampleType::I16,
+        affine: Some(Affine {
+            origin: [f64::from(west), f64::from(south + 1)],
+            col_step: [step_deg, 0.0],
+            row_step: [0.0, -step_deg],
+        }),
+        crs: Some(Crs::from_epsg(4326)?),
+        nodata: Some(VOID),
+        scale: 1.0,
+        offset: 0.0,
+        accuracy_m: Some(ACCURACY_M),
+        product: Some("SRTM"),
+        // SRTM counts from the EGM96 geoid, in metres.
+        vertical_datum: Some("EPSG:5773".to_string()),
+        vertical_unit_m: Some(1.0),
+        notes: Vec::new(),
+    };
+    let row_stride = side * POST_BYTES;
+    RawGrid::new(info, input, Layout { at: 0, sample_stride: POST_BYTES, row_stride, big_endian: true })
 }
 
 /// South and west edge in whole degrees, from the first seven letters of the file's name.
@@ -147,7 +90,13 @@ fn corner_of(name: &str) -> Option<(i32, i32)> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::sidecar::Beside;
     use super::*;
+    use crate::height::source::{HeightSource, Window};
+
+    fn tile(name: &str, bytes: Vec<u8>) -> Result<RawGrid> {
+        open(Input::memory(name, bytes, Beside::Nothing))
+    }
 
     #[test]
     fn the_name_gives_the_south_west_corner() {
@@ -174,7 +123,7 @@ mod tests {
         bytes[2..4].copy_from_slice(&(-32768i16).to_be_bytes());
         let last = bytes.len() - 2;
         bytes[last..].copy_from_slice(&(-7i16).to_be_bytes());
-        let mut tile = Hgt::from_bytes("N00E010.hgt", bytes).unwrap();
+        let mut tile = tile("N00E010.hgt", bytes).unwrap();
         let a = tile.info().affine.unwrap();
         assert_eq!(a.origin, [10.0, 1.0]);
         let end = |i: usize| a.origin[i] + 1200.0 * (a.col_step[i] + a.row_step[i]);
@@ -189,8 +138,8 @@ mod tests {
 
     #[test]
     fn other_sizes_are_refused_with_both_numbers() {
-        let e = Hgt::from_bytes("N00E010.hgt", vec![0; 1000]).err().unwrap().to_string();
+        let e = tile("N00E010.hgt", vec![0; 1000]).err().unwrap().to_string();
         assert!(e.contains("1000") && e.contains("2884802"), "{e}");
-        assert!(Hgt::from_bytes("tile.hgt", vec![0; 2884802]).is_err());
+        assert!(tile("tile.hgt", vec![0; 2884802]).is_err());
     }
 }

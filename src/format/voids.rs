@@ -4,7 +4,7 @@
 //! height can have, match within 2e-6 of the nodata value, because files write `-3.40282e+38` in text and
 //! the lowest `f32` in their samples. A value that the type cannot hold matches nothing.
 
-use crate::height::source::SampleType;
+use crate::height::source::{SampleType, SourceInfo};
 
 /// Above this, nodata matches loosely.
 const HUGE: f64 = 1e30;
@@ -21,6 +21,13 @@ pub struct Voids {
 impl Voids {
     pub fn new(sample_type: SampleType, nodata: Option<f64>) -> Voids {
         Voids { sample_type, nodata }
+    }
+
+    /// By the nodata value of a source, with a note to it if no sample can hold that.
+    pub fn of(info: &mut SourceInfo) -> Voids {
+        let voids = Voids::new(info.sample_type, info.nodata);
+        info.notes.extend(voids.note());
+        voids
     }
 
     /// A note for the user if no sample can hold the nodata value.

@@ -1,7 +1,30 @@
-//! Windows that are asked for, held against the grid and the limits before anything is allocated.
+//! Sizes of grids and windows that are asked for, held against the limits before anything is allocated.
 
 use crate::base::{Error, Result, limits};
 use crate::height::source::{SourceInfo, Window};
+
+/// Refuses grids without posts, and those that are larger than any survey file.
+pub fn check_size(file: &str, cols: u64, rows: u64) -> Result<()> {
+    if cols == 0 || rows == 0 {
+        return Err(Error::corrupt(file, "grid size", format!("{cols} x {rows} posts")));
+    }
+    for (side, what) in [(cols, "columns"), (rows, "rows")] {
+        if side > limits::SIDE_MAX {
+            return Err(Error::limit(format!("{what} of {file}"), limits::SIDE_MAX, side));
+        }
+    }
+    if cols * rows > limits::POSTS_MAX {
+        return Err(Error::limit(format!("posts of {file}"), limits::POSTS_MAX, cols * rows));
+    }
+    Ok(())
+}
+
+/// Rows of a grid that are worth reading together where every read passes over the whole file: all, unless
+/// that is more posts than fit.
+pub fn tall_batch(info: &SourceInfo) -> usize {
+    const POSTS: u64 = 16 << 20;
+    (POSTS / info.cols).clamp(1, info.rows) as usize
+}
 
 /// Refuses windows that leave the grid or hold more posts than one call may hand over.
 pub fn check(info: &SourceInfo, w: Window) -> Result<()> {

@@ -112,7 +112,7 @@ pub struct Affine {
 pub struct SourceInfo {
     /// The file, as the user named it; used in errors.
     pub file: String,
-    /// `GeoTIFF` or `HGT`.
+    /// Name of the format, for messages: `GeoTIFF`, `HGT`, `DTED`, ...
     pub format: &'static str,
     pub cols: u64,
     pub rows: u64,
@@ -126,12 +126,14 @@ pub struct SourceInfo {
     /// height = sample * scale + offset, in metres unless the user says otherwise.
     pub scale: f64,
     pub offset: f64,
+    /// What heights count from, as [`crate::height::crs::vertical::VerticalDatum`] records it. None: not said.
+    pub vertical_datum: Option<String>,
+    /// Metres of one unit of height. None: the file does not say.
+    pub vertical_unit_m: Option<f64>,
     /// Vertical accuracy in metres, if the file is of a product whose accuracy is published.
     pub accuracy_m: Option<f64>,
     /// Name of that product, for messages.
     pub product: Option<&'static str>,
-    pub vertical_datum: Option<String>,
-    pub vertical_unit_m: Option<f64>,
     /// Things a user should know (several bands: the first is read; CRS taken from ...).
     pub notes: Vec<String>,
 }

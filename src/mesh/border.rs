@@ -74,7 +74,8 @@ pub(super) fn border(
             chain.extend(known.filter_map(|(p, z)| z.map(|z| [p[0], p[1], z])));
             chain.push(knots[b as usize]);
             let mut last = a;
-            for i in split(&chain, bound) {
+            let weights: Vec<f64> = chain.iter().map(|p| 1.0 / field.share([p[0], p[1]])).collect();
+            for i in split(&chain, &weights, bound) {
                 let p = chain[i];
                 let v = add([p[0], p[1]], &mut plane);
                 if v as usize == knots.len() {
@@ -90,8 +91,8 @@ pub(super) fn border(
     Ok(Border { knots, edges: out })
 }
 
-/// The points of a chain at which it must be broken, in order.
-fn split(chain: &[[f64; 3]], bound: f64) -> Vec<usize> {
+/// The points of a chain at which it must be broken, in order; errors count by their weights.
+fn split(chain: &[[f64; 3]], weights: &[f64], bound: f64) -> Vec<usize> {
     let mut breaks = Vec::new();
     let mut todo = vec![(0, chain.len() - 1)];
     while let Some((i, j)) = todo.pop() {
@@ -101,7 +102,7 @@ fn split(chain: &[[f64; 3]], bound: f64) -> Vec<usize> {
         let mut worst = (bound, 0);
         for (k, p) in chain.iter().enumerate().take(j).skip(i + 1) {
             let t = ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / squared;
-            let error = (a[2] + t * (b[2] - a[2]) - p[2]).abs();
+            let error = (a[2] + t * (b[2] - a[2]) - p[2]).abs() * weights[k];
             if error > worst.0 {
                 worst = (error, k);
             }

@@ -196,7 +196,11 @@ fn sites(field: &dyn Field, posts: &[[f64; 2]]) -> Vec<Site> {
     let mut heights = Vec::with_capacity(posts.len());
     field.heights(posts, &mut heights);
     let known = posts.iter().zip(heights);
-    known.filter_map(|(p, s)| s.map(|s| Site { x: p[0], y: p[1], z: s.z, z_snapped: s.z })).collect()
+    known
+        .filter_map(|(p, s)| {
+            s.map(|s| Site { x: p[0], y: p[1], z: s.z, z_snapped: s.z, weight: 1.0 / field.share(*p) })
+        })
+        .collect()
 }
 
 fn normal(dzdx: f64, dzdy: f64) -> [f32; 3] {

@@ -66,7 +66,9 @@ pub(super) fn measure(
             let facet = &mut tin.facets[found.facet as usize];
             facet.fine_error = facet.fine_error.max(found.error);
             facet.fine_points += found.points;
-            let site = |(_, [x, y], z): (f64, [f64; 2], f64)| (found.facet, Site { x, y, z, z_snapped: z });
+            let site = |(_, [x, y], z): (f64, [f64; 2], f64)| {
+                (found.facet, Site { x, y, z, z_snapped: z, weight: 1.0 / field.share([x, y]) })
+            };
             sites.extend(found.sites.into_iter().map(site));
         }
     }
@@ -195,6 +197,7 @@ struct Probe {
     /// Height of the field, and of the mesh.
     z: f64,
     mesh: f64,
+    /// Vertical distance over the field's share of the bound.
     error: f64,
 }
 
@@ -213,7 +216,7 @@ fn distances(field: &dyn Field, lattice: &Lattice, probes: &mut [Probe]) {
         [-0.7, -0.7],
     ];
     for p in probes.iter_mut() {
-        p.error = (p.mesh - p.z).abs();
+        p.error = (p.mesh - p.z).abs() / field.share(p.at);
     }
     if lattice.wall <= 0.0 {
         return;
@@ -231,7 +234,7 @@ fn distances(field: &dyn Field, lattice: &Lattice, probes: &mut [Probe]) {
     for (k, beside) in far.into_iter().zip(heights.chunks(WAYS.len())) {
         let p = &mut probes[k];
         let (lo, hi) = beside.iter().flatten().fold((p.z, p.z), |(lo, hi), h| (lo.min(h.z), hi.max(h.z)));
-        p.error = (lo - p.mesh).max(p.mesh - hi).max(0.0);
+        p.error = (lo - p.mesh).max(p.mesh - hi).max(0.0) / field.share(p.at);
     }
 }
 

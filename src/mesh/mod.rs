@@ -27,7 +27,7 @@ mod weave;
 
 pub use check::{MeshStats, check};
 pub use delaunay::triangulate;
-pub use outline::{Polygon, grid_unit, outline};
+pub use outline::{Polygon, grid_unit, outline, outline_within};
 
 /// Height and slope of a surface at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,12 +53,18 @@ pub trait Field: Sync {
     fn heights(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
         self.sample(points, out);
     }
+
+    /// Which part of the bound is allowed at a point, above 0 and at most 1. It need not be continuous.
+    fn share(&self, _: [f64; 2]) -> f64 {
+        1.0
+    }
 }
 
 /// What [`triangulate`] shall do.
 #[derive(Debug, Clone)]
 pub struct MeshOptions {
-    /// Bound on the vertical distance of mesh and field, metres, above zero.
+    /// Bound on the vertical distance of mesh and field, metres, above zero; at a point, the field's share of it. Where less
+    /// is allowed, distances count more: every error is divided by the share before it is compared or told.
     pub error_m: f64,
     /// Finest step of posts in the region, metres. Errors are measured on a lattice 4 times finer, and
     /// vertices are not nearer to each other than a thousandth of it.

@@ -57,6 +57,9 @@ pub fn grid_unit(extent: f64) -> f64 {
 
 type Ring = Vec<IntPoint<i32>>;
 
+/// The clip may reach so many times as far as the quads before the grid grows coarser.
+const CLIP_EXTENTS: f64 = 16.0;
+
 /// A vertex this near to the chord between its neighbours (units) adds nothing but rounding.
 const CHORD_UNITS: f64 = 3.0;
 
@@ -69,26 +72,54 @@ const CHORD_UNITS: f64 = 3.0;
 /// # Errors
 /// [`Error::Invalid`] if a coordinate is not finite or the clip box is empty.
 pub fn outline(quads: &[[[f64; 2]; 4]], clip: Option<[f64; 4]>) -> Result<Vec<Polygon>> {
-    if quads.iter().flatten().flatten().chain(clip.iter().flatten()).any(|v| !v.is_finite()) {
+    match clip {
+        None => outline_within(quads, &[]),
+        Some([x0, y0, x1, y1]) => {
+            if !(x0 < x1 && y0 < y1) {
+                return Err(Error::invalid("outline", format!("the box {x0},{y0},{x1},{y1} is empty")));
+            }
+            // A box that reaches far beyond the quads is as good as a smaller one.
+            let extent = quads.iter().flatten().flatten().fold(0.0f64, |m, v| m.max(v.abs()));
+            let [x0, y0, x1, y1] = [x0, y0, x1, y1].map(|v| v.clamp(-extent * 1.5, extent * 1.5));
+            outline_within(quads, &[vec![vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]]]])
+        }
+    }
+}
+
+/// As [`outline`], cut to polygons: parts that may overlap, each of rings; a point is in a part if it is in an odd number
+/// of its rings. No part: not cut.
+///
+/// # Errors
+/// [`Error::Invalid`] if a coordinate is not finite.
+pub fn outline_within(quads: &[[[f64; 2]; 4]], clip: &[Vec<Vec<[f64; 2]>>]) -> Result<Vec<Polygon>> {
+    if quads
+        .iter()
+        .flatten()
+        .flatten()
+        .chain(clip.iter().flatten().flatten().flatten())
+        .any(|v| !v.is_finite())
+    {
         return Err(Error::invalid("outline", "a coordinate is not a number"));
     }
-    if let Some([x0, y0, x1, y1]) = clip
-        && !(x0 < x1 && y0 < y1)
-    {
-        return Err(Error::invalid("outline", format!("the box {x0},{y0},{x1},{y1} is empty")));
-    }
-    let inside = |quad: &&[[f64; 2]; 4]| match clip {
-        None => true,
-        Some([x0, y0, x1, y1]) => {
-            quad.iter().any(|p| p[0] >= x0)
+    let [x0, y0, x1, y1] = clip
+        .iter()
+        .flatten()
+        .flatten()
+        .fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |b, p| {
+            [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])]
+        });
+    let inside = |quad: &&[[f64; 2]; 4]| {
+        clip.is_empty()
+            || quad.iter().any(|p| p[0] >= x0)
                 && quad.iter().any(|p| p[0] <= x1)
                 && quad.iter().any(|p| p[1] >= y0)
                 && quad.iter().any(|p| p[1] <= y1)
-        }
     };
     let quads: Vec<&[[f64; 2]; 4]> = quads.iter().filter(inside).collect();
     let extent = quads.iter().flat_map(|q| q.iter().flatten()).fold(0.0f64, |m, v| m.max(v.abs()));
-    let unit = grid_unit(extent);
+    // Coordinates of the clip must stay far from the ends of 32-bit integers.
+    let reach = clip.iter().flatten().flatten().flatten().fold(0.0f64, |m, v| m.max(v.abs()));
+    let unit = grid_unit(extent.max(reach / CLIP_EXTENTS));
     let snap = |v: f64| (v / unit).round() as i32;
 
     let rings = snapped_rings(&quads, snap);
@@ -97,16 +128,22 @@ pub fn outline(quads: &[[[f64; 2]; 4]], clip: Option<[f64; 4]>) -> Result<Vec<Po
     for ring in &rings {
         overlay.add_contour(ring, ShapeType::Subject);
     }
-    let rule = match clip {
-        None => OverlayRule::Subject,
-        Some(clip) => {
-            let [x0, y0, x1, y1] = clip.map(|v| snap(v.clamp(-extent * 1.5, extent * 1.5)));
-            let corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-            let ring: Ring = corners.iter().map(|p| IntPoint::new(p[0], p[1])).collect();
-            overlay.add_contour(&ring, ShapeType::Clip);
-            OverlayRule::Intersect
+    let rule = if clip.is_empty() { OverlayRule::Subject } else { OverlayRule::Intersect };
+    for part in clip {
+        // By itself, so that parts that overlap do not cancel.
+        let mut alone = Overlay::new_custom(
+            part.iter().map(Vec::len).sum(),
+            IntOverlayOptions::keep_all_points(),
+            Default::default(),
+        );
+        for ring in part {
+            let ring: Ring = ring.iter().map(|p| IntPoint::new(snap(p[0]), snap(p[1]))).collect();
+            alone.add_contour(&ring, ShapeType::Subject);
         }
-    };
+        for ring in alone.overlay(OverlayRule::Subject, FillRule::EvenOdd).into_iter().flatten() {
+            overlay.add_contour(&ring, ShapeType::Clip);
+        }
+    }
     let mut rings: Vec<Ring> = overlay.overlay(rule, FillRule::NonZero).into_iter().flatten().collect();
     // A slit that was closed leaves a vertex where it opened; the second pass takes it out.
     for _ in 0..2 {

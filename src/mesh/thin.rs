@@ -78,20 +78,20 @@ fn error_without(tin: &Tin, field: &dyn Field, lattice: &Lattice, v: u32) -> Opt
     let planes: Vec<Plane> = triangles.iter().map(|t| Plane::through(t[0], t[1], t[2])).collect();
     let bound = lattice.bound;
     let mut worst = 0.0f64;
-    let mut within = |x: f64, y: f64, z: f64| {
+    let mut within = |x: f64, y: f64, z: f64, weight: f64| {
         let i = triangles.iter().position(|t| contains(t, [x, y], 0.0)).unwrap_or(0);
-        let error = (planes[i].at(x, y) - z).abs();
+        let error = (planes[i].at(x, y) - z).abs() * weight;
         worst = worst.max(error);
         error <= bound
     };
     let [x, y, z] = tin.position(v);
-    if !within(x, y, z) {
+    if !within(x, y, z, 1.0 / field.share([x, y])) {
         return None;
     }
     let own = Some(tin.site_of[v as usize]).filter(|&s| s != NONE);
     for s in own.into_iter().chain(star.iter().flat_map(|&f| tin.facets[f].sites.iter().copied())) {
         let site = &tin.sites[s as usize];
-        if !within(site.x, site.y, site.z) {
+        if !within(site.x, site.y, site.z, site.weight) {
             return None;
         }
     }
@@ -110,7 +110,7 @@ fn error_without(tin: &Tin, field: &dyn Field, lattice: &Lattice, v: u32) -> Opt
     field.heights(&points, &mut heights);
     for ((p, z), i) in points.iter().zip(heights).zip(owners) {
         let Some(FieldSample { z, .. }) = z else { continue };
-        let error = (planes[i].at(p[0], p[1]) - z).abs();
+        let error = (planes[i].at(p[0], p[1]) - z).abs() / field.share(*p);
         worst = worst.max(error);
         if error > bound * FINE_SHARE {
             return None;

@@ -39,6 +39,8 @@ pub(super) struct Site {
     pub z: f64,
     /// The field at the nearest point of the grid, where a vertex would be.
     pub z_snapped: f64,
+    /// By how much errors count here: 1 over the field's share of the bound.
+    pub weight: f64,
 }
 
 /// A face with the sites in it.
@@ -119,7 +121,8 @@ impl Tin {
     /// A vertex has come; `site` is the one that it was inserted for, or [`NONE`].
     pub(super) fn push_height(&mut self, z: f64, site: u32) {
         let rounded = f64::from(z as f32);
-        self.rounding = self.rounding.max((z - rounded).abs());
+        let weight = self.sites.get(site as usize).map_or(1.0, |s| s.weight);
+        self.rounding = self.rounding.max((z - rounded).abs() * weight);
         self.z.push(rounded);
         self.site_of.push(if self.is_exact(site) { site } else { NONE });
     }
@@ -255,7 +258,7 @@ impl Tin {
         let (mut worst, mut worst_error) = (NONE, 0.0);
         for &s in &f.sites {
             let site = &self.sites[s as usize];
-            let error = (plane.at(site.x, site.y) - site.z).abs();
+            let error = (plane.at(site.x, site.y) - site.z).abs() * site.weight;
             if error > worst_error || (error == worst_error && s < worst) {
                 (worst, worst_error) = (s, error);
             }
@@ -322,7 +325,7 @@ impl Tin {
             let site = &self.sites[s as usize];
             let (x, y) = (site.x - centre[0], site.y - centre[1]);
             let i = wedge(&spokes, x, y);
-            let error = (planes[i].at(site.x, site.y) - site.z).abs();
+            let error = (planes[i].at(site.x, site.y) - site.z).abs() * site.weight;
             let facet = &mut self.facets[star[i].0 as usize];
             facet.sites.push(s);
             if error > facet.worst_error || (error == facet.worst_error && s < facet.worst) {
@@ -438,11 +441,11 @@ impl Tin {
         }
         let mut hint = 0;
         for &s in &self.parked {
-            let Site { x, y, z, .. } = self.sites[s as usize];
+            let Site { x, y, z, weight, .. } = self.sites[s as usize];
             if let Some(f) = self.face_at(x, y, hint) {
                 let corners = self.facets[f as usize].corners;
                 hint = corners[0];
-                error = error.max((self.plane(corners).at(x, y) - z).abs());
+                error = error.max((self.plane(corners).at(x, y) - z).abs() * weight);
                 count += 1;
             }
         }

@@ -70,6 +70,11 @@ pub fn temporary_name(number: u32) -> String {
     format!("{number:08}.tmp")
 }
 
+/// CRC-32C (Castagnoli).
+pub(super) fn checksum(bytes: &[u8]) -> u32 {
+    crc32c::crc32c(bytes)
+}
+
 fn header(kind: SegmentKind, number: u32) -> Vec<u8> {
     let mut h = Vec::with_capacity(HEADER_BYTES as usize);
     h.put(&MAGIC);
@@ -78,7 +83,7 @@ fn header(kind: SegmentKind, number: u32) -> Vec<u8> {
     h.put(&[0; 3]);
     h.put_u32(number);
     h.put(&[0; 8]);
-    let crc = crc32c::crc32c(&h);
+    let crc = checksum(&h);
     h.put_u32(crc);
     h
 }
@@ -99,8 +104,8 @@ fn check_header(name: &str, bytes: &[u8], number: u32) -> Result<()> {
             "use a newer terraquilt",
         ));
     }
-    if crc32c::crc32c(body) != crc {
-        return Err(r.bad(format!("checksum {:#010x}, stored {crc:#010x}", crc32c::crc32c(body))));
+    if checksum(body) != crc {
+        return Err(r.bad(format!("checksum {:#010x}, stored {crc:#010x}", checksum(body))));
     }
     f.take(4)?;
     let found = f.u32()?;
@@ -130,6 +135,12 @@ impl SegmentWriter {
         Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
     }
 
+    /// A segment that lives in memory and is never on a disk.
+    pub fn in_memory(number: u32, kind: SegmentKind) -> Result<SegmentWriter> {
+        let file: Box<dyn Growing> = Box::new(InMemory(header(kind, number)));
+        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
+    }
+
     pub fn number(&self) -> u32 {
         self.number
     }
@@ -148,12 +159,8 @@ impl SegmentWriter {
         if page.len() as u64 > limits::PAGE_BYTES_MAX {
             return Err(Error::limit("bytes of a page", limits::PAGE_BYTES_MAX, page.len() as u64));
         }
-        let at = PageRef {
-            file: self.number,
-            len: page.len() as u32,
-            offset: self.offset,
-            crc: crc32c::crc32c(page),
-        };
+        let at =
+            PageRef { file: self.number, len: page.len() as u32, offset: self.offset, crc: checksum(page) };
         self.file.get_mut().expect("no thread panicked while holding the file").append(page)?;
         self.offset += page.len() as u64;
         Ok(at)
@@ -165,6 +172,26 @@ impl SegmentWriter {
         disk.rename(&temporary_name(self.number), &file_name(self.number))?;
         disk.sync_names()?;
         Ok(self.offset)
+    }
+}
+
+/// The bytes of a file that is on no disk.
+struct InMemory(Vec<u8>);
+
+impl Growing for InMemory {
+    fn append(&mut self, bytes: &[u8]) -> Result<()> {
+        self.0.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn read_at(&self, offset: u64, buffer: &mut [u8]) -> Result<()> {
+        let from = offset as usize;
+        buffer.copy_from_slice(&self.0[from..from + buffer.len()]);
+        Ok(())
+    }
+
+    fn sync(&mut self) -> Result<()> {
+        Ok(())
     }
 }
 
@@ -184,7 +211,7 @@ impl Pages for SegmentWriter {
 }
 
 fn verify(name: &str, at: &PageRef, bytes: &[u8]) -> Result<()> {
-    let crc = crc32c::crc32c(bytes);
+    let crc = checksum(bytes);
     if crc != at.crc {
         return Err(Error::corrupt(
             name,
@@ -205,6 +232,16 @@ pub struct Files {
 impl Files {
     pub fn new(disk: Arc<dyn Disk>, lengths: impl IntoIterator<Item = (u32, u64)>) -> Files {
         Files { disk, files: lengths.into_iter().map(|(n, l)| (n, (l, OnceLock::new()))).collect() }
+    }
+
+    /// The same files and what was written beside them, held in memory.
+    pub fn with(&self, segment: SegmentWriter) -> Result<Files> {
+        let mut bytes = vec![0; segment.offset as usize];
+        segment.file.lock().expect("no thread panicked while holding the file").read_at(0, &mut bytes)?;
+        let finished: Finished = Arc::new(bytes);
+        let mut files = Files::new(self.disk.clone(), self.lengths());
+        files.files.insert(segment.number, (segment.offset, OnceLock::from(finished)));
+        Ok(files)
     }
 
     /// Numbers and lengths, ascending.
@@ -255,7 +292,7 @@ impl Pages for Files {
             ));
         };
         let page = &bytes[at.offset as usize..end as usize];
-        if crc32c::crc32c(page) != at.crc {
+        if checksum(page) != at.crc {
             verify(&self.name(at.file), at, page)?;
         }
         Ok(Cow::Borrowed(page))

@@ -1,5 +1,8 @@
 //! What several subjects need: sources in memory, databases in temporary folders, the program itself.
 
+/// A disk whose power can be cut.
+pub mod power;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::AtomicBool;
@@ -97,10 +100,10 @@ impl Grid {
                 nodata: Some(f64::NAN),
                 scale: 1.0,
                 offset: 0.0,
-                accuracy_m: None,
-                product: None,
                 vertical_datum: None,
                 vertical_unit_m: None,
+                accuracy_m: None,
+                product: None,
                 notes: Vec::new(),
             },
             z: self.z.clone(),

@@ -6,7 +6,8 @@
 //! - the compression, predictor and sample layout are ones that decode to whole samples.
 
 use crate::base::{Error, Result, limits};
-use crate::height::source::{SampleType, Window};
+use crate::format::window;
+use crate::height::source::Window;
 use tiff_reader::{Ifd, RasterLayout, TiffError};
 
 const TAG_STRIP_OFFSETS: u16 = 273;
@@ -17,6 +18,7 @@ const FILL_ORDER_LOW_BIT_FIRST: u16 = 2;
 const PLANAR_SEPARATE: u16 = 2;
 const COMPRESSION_NONE: u16 = 1;
 const COMPRESSION_PACKBITS: u16 = 32773;
+const COMPRESSION_LZMA: u16 = 34925;
 const PREDICTOR_NONE: u16 = 1;
 const PREDICTOR_FLOAT: u16 = 3;
 
@@ -42,8 +44,12 @@ pub struct Blocks {
     pub block_bytes: u64,
     /// Uncompressed and in plain order: rows can be taken from the file as they are.
     pub plain: bool,
+    /// Compressed in the way that only `lzma` decodes.
+    pub lzma: bool,
     /// Offset of each block; 0: the block is not stored.
     offsets: Vec<u64>,
+    /// Bytes of each block, if they are needed to decode it here.
+    counts: Vec<u64>,
     sparse: bool,
 }
 
@@ -51,17 +57,7 @@ impl Blocks {
     /// Looks through the directory of an image; reads no block.
     pub fn check(file: &str, span_bytes: u64, ifd: &Ifd) -> Result<(Blocks, RasterLayout)> {
         let (cols, rows) = (u64::from(ifd.width()), u64::from(ifd.height()));
-        if cols == 0 || rows == 0 {
-            return Err(Error::corrupt(file, "image size", format!("{cols} x {rows} posts")));
-        }
-        for (side, what) in [(cols, "columns"), (rows, "rows")] {
-            if side > limits::SIDE_MAX {
-                return Err(Error::limit(format!("{what} of {file}"), limits::SIDE_MAX, side));
-            }
-        }
-        if cols * rows > limits::POSTS_MAX {
-            return Err(Error::limit(format!("posts of {file}"), limits::POSTS_MAX, cols * rows));
-        }
+        window::check_size(file, cols, rows)?;
         check_encoding(file, ifd)?;
         let layout = ifd.raster_layout().map_err(|e| tiff_error(file, "image directory", e))?;
 
@@ -101,8 +97,12 @@ impl Blocks {
             stride_bytes,
             sample_bytes: layout.bytes_per_sample,
             block_bytes: block_bytes as u64,
-            plain: ifd.compression() == COMPRESSION_NONE && ifd.fill_order() != FILL_ORDER_LOW_BIT_FIRST,
+            plain: ifd.compression() == COMPRESSION_NONE
+                && ifd.fill_order() != FILL_ORDER_LOW_BIT_FIRST
+                && layout.bits_per_sample.is_multiple_of(8),
+            lzma: ifd.compression() == COMPRESSION_LZMA,
             offsets: Vec::new(),
+            counts: Vec::new(),
             sparse: false,
         };
         let planes = if separate { layout.samples_per_pixel as u64 } else { 1 };
@@ -117,7 +117,7 @@ impl Blocks {
             ("strip", TAG_STRIP_OFFSETS, TAG_STRIP_BYTE_COUNTS)
         };
         let table = |tag| ifd.tag(tag).and_then(|t| t.value.as_u64_vec()).unwrap_or_default();
-        let (mut offsets, counts) = (table(offsets_tag), table(counts_tag));
+        let (mut offsets, mut counts) = (table(offsets_tag), table(counts_tag));
         let per_plane = self.across * self.rows.div_ceil(self.block_rows);
         let expected = per_plane.saturating_mul(planes);
         for (found, name) in [(offsets.len() as u64, "offsets"), (counts.len() as u64, "byte counts")] {
@@ -131,7 +131,7 @@ impl Blocks {
         }
         // Band 1 comes first, in both planar layouts.
         offsets.truncate(per_plane as usize);
-        for (i, (offset, count)) in offsets.iter_mut().zip(counts).enumerate() {
+        for (i, (offset, count)) in offsets.iter_mut().zip(counts.iter().copied()).enumerate() {
             if *offset == 0 || count == 0 {
                 *offset = 0;
                 self.sparse = true;
@@ -154,12 +154,21 @@ impl Blocks {
             }
         }
         self.offsets = offsets;
+        if self.lzma {
+            counts.truncate(per_plane as usize);
+            self.counts = counts;
+        }
         Ok(())
     }
 
     /// Offset of the strip or tile with this index; None if it is not stored.
     pub fn offset(&self, index: u64) -> Option<u64> {
         self.offsets.get(index as usize).copied().filter(|at| *at != 0)
+    }
+
+    /// Offset and bytes of the block with this index, for blocks that are decoded here; None if it is not stored.
+    pub fn stored(&self, index: u64) -> Option<(u64, u64)> {
+        Some((self.offset(index)?, *self.counts.get(index as usize)?))
     }
 
     /// Calls `each(row, first, end)` for the runs of posts of `w` that lie in blocks which are not stored;
@@ -196,53 +205,16 @@ impl Blocks {
     }
 }
 
-/// The sample type of an image.
-///
-/// # Errors
-/// [`Error::Unsupported`] for half floats, 64-bit integers, packed bits and complex numbers.
-pub fn sample_type(file: &str, ifd: &Ifd) -> Result<SampleType> {
-    let first = |values: std::result::Result<Vec<u16>, TiffError>| match values {
-        Ok(values) => Ok(values.first().copied().unwrap_or(1)),
-        Err(e) => Err(tiff_error(file, "image directory", e)),
-    };
-    let (bits, format) = (first(ifd.bits_per_sample())?, first(ifd.sample_format())?);
-    let kind = match format {
-        1 | 4 => "unsigned",
-        2 => "signed",
-        3 => "float",
-        5 | 6 => "complex",
-        _ => "unknown",
-    };
-    Ok(match (kind, bits) {
-        ("unsigned", 8) => SampleType::U8,
-        ("unsigned", 16) => SampleType::U16,
-        ("unsigned", 32) => SampleType::U32,
-        ("signed", 8) => SampleType::I8,
-        ("signed", 16) => SampleType::I16,
-        ("signed", 32) => SampleType::I32,
-        ("float", 32) => SampleType::F32,
-        ("float", 64) => SampleType::F64,
-        _ => {
-            return Err(Error::unsupported(
-                file,
-                format!("samples of {bits} bits ({kind}) are not read"),
-                "convert them with: gdal_translate -ot Float32 INPUT OUTPUT.tif",
-            ));
-        }
-    })
-}
-
 fn check_encoding(file: &str, ifd: &Ifd) -> Result<()> {
     let unsupported = |what: String| Err(Error::unsupported(file, what, REWRITE));
     let compression = ifd.compression();
     match compression {
-        COMPRESSION_NONE | 5 | 8 | 32946 | COMPRESSION_PACKBITS | 34887 | 50000 => {}
+        COMPRESSION_NONE | 5 | 8 | 32946 | COMPRESSION_PACKBITS | 34887 | COMPRESSION_LZMA | 50000 => {}
         _ => {
             let name = match compression {
                 2..=4 => "fax",
                 6 | 7 => "JPEG",
                 34712 | 33003 | 33005 => "JPEG 2000",
-                34925 => "LZMA",
                 50001 => "WebP",
                 50002 | 52546 => "JPEG XL",
                 _ => "unknown",
@@ -251,15 +223,8 @@ fn check_encoding(file: &str, ifd: &Ifd) -> Result<()> {
         }
     }
     match ifd.photometric_interpretation().unwrap_or(1) {
-        // White is zero, black is zero, RGB, mask.
-        0 | 1 | 2 | 4 => {}
-        3 => {
-            return Err(Error::unsupported(
-                file,
-                "samples are indices into a colour palette, not heights",
-                "if they are heights, drop the palette: gdal_translate -colorinterp gray INPUT OUTPUT.tif",
-            ));
-        }
+        // White is zero, black is zero, RGB, palette, mask.
+        0..=4 => {}
         other => return unsupported(format!("colour model {other} is not one of heights")),
     }
     let predictor = ifd.predictor();
@@ -267,6 +232,12 @@ fn check_encoding(file: &str, ifd: &Ifd) -> Result<()> {
     if predictor != PREDICTOR_NONE && !predicts {
         // libtiff ignores the tag there, tiff-reader does not: refuse rather than guess.
         return unsupported(format!("predictor {predictor} with compression {compression} is not read"));
+    }
+    if compression == COMPRESSION_LZMA {
+        let bits = ifd.bits_per_sample().ok().and_then(|b| b.first().copied()).unwrap_or(1);
+        if !bits.is_multiple_of(8) || ifd.fill_order() == FILL_ORDER_LOW_BIT_FIRST {
+            return unsupported(format!("{bits}-bit samples or turned bits with LZMA are not read"));
+        }
     }
     let is_float = ifd.sample_format().is_ok_and(|f| f.first() == Some(&3));
     if predictor == PREDICTOR_FLOAT && !is_float {

@@ -4,16 +4,19 @@
 //! everything else is decoded block by block by `tiff-reader`, whose cache holds one row of blocks, so
 //! that windows going down the file decode each block once.
 
-use super::blocks::{Blocks, sample_type, tiff_error};
+use super::blocks::{Blocks, tiff_error};
 use super::georef::{self, GeoKeys};
+use super::lzma::LzmaBlocks;
 use super::metadata::{parse_band_metadata, parse_nodata, shorten};
+use super::stored::Stored;
 use crate::base::{Error, Result, limits};
+use crate::format::input::Input;
+use crate::format::sidecar;
 use crate::format::voids::Voids;
 use crate::format::window;
-use crate::height::source::{HeightSource, SampleType, Samples, SourceInfo, Window};
-use std::path::Path;
+use crate::height::source::{HeightSource, Samples, SourceInfo, Window};
 use std::sync::Arc;
-use tiff_reader::source::{BytesSource, FileSource, SharedSource};
+use tiff_reader::source::{SharedSource, TiffSource};
 use tiff_reader::{ByteOrder, Ifd, OpenOptions, ParseBudgets, RasterLayout, TiffError, TiffFile};
 
 const TAG_SUBFILE_TYPE: u16 = 254;
@@ -57,6 +60,9 @@ pub struct GeoTiff {
     info: SourceInfo,
     tiff: TiffFile,
     blocks: Blocks,
+    layout: RasterLayout,
+    lzma: LzmaBlocks,
+    stored: Stored,
     mask: Mask,
     voids: Voids,
     /// Sample in place of blocks that are not stored, and whether it is a void.
@@ -68,38 +74,14 @@ impl GeoTiff {
     ///
     /// # Errors
     /// As [`crate::format::open`].
-    pub fn open(path: &Path) -> Result<GeoTiff> {
-        let file = path.display().to_string();
-        let source = FileSource::open(path).map_err(|e| tiff_error(&file, "file", e))?;
-        let mut opened = GeoTiff::new(file, Arc::new(source))?;
-        let no_place = opened.info.affine.is_none();
-        let beside =
-            [("msk", "mask", true), ("tfw", "world file", no_place), ("wld", "world file", no_place)];
-        for (extension, what, matters) in beside {
-            let name = match extension {
-                "msk" => path.with_added_extension(extension),
-                _ => path.with_extension(extension),
-            };
-            if matters && name.exists() {
-                opened.info.notes.push(format!("the {what} {} beside the file is not read", name.display()));
-            }
-        }
-        Ok(opened)
-    }
-
-    /// Opens a file that lies in memory.
-    ///
-    /// # Errors
-    /// As [`GeoTiff::open`].
-    pub fn from_bytes(name: &str, bytes: Vec<u8>) -> Result<GeoTiff> {
-        GeoTiff::new(name.to_string(), Arc::new(BytesSource::new(bytes)))
-    }
-
-    fn new(file: String, source: SharedSource) -> Result<GeoTiff> {
-        let span_bytes = source.len();
-        let (tiff, blocks, layout) = open_tiff(&file, source)?;
+    pub fn open(input: Input) -> Result<GeoTiff> {
+        let file = input.file.clone();
+        let input = Arc::new(input);
+        let span_bytes = input.span_bytes();
+        let (tiff, blocks, layout) = open_tiff(&file, input.clone())?;
         let ifd = tiff.ifd(0).map_err(|e| tiff_error(&file, "header", e))?;
-        let sample_type = sample_type(&file, ifd)?;
+        let stored = Stored::of(&file, ifd)?;
+        let sample_type = stored.sample_type();
 
         let mut notes = Vec::new();
         if layout.samples_per_pixel > 1 {
@@ -107,6 +89,9 @@ impl GeoTiff {
         }
         if ifd.photometric_interpretation() == Some(2) {
             notes.push("the file is a colour picture (RGB); its red band is read as heights".to_string());
+        }
+        if ifd.photometric_interpretation() == Some(3) {
+            notes.push("the file has a colour palette; its numbers are read as heights".to_string());
         }
         let pages =
             tiff.ifds().iter().skip(1).filter(|i| subfile(i) & (SUBFILE_OVERVIEW | SUBFILE_MASK) == 0);
@@ -119,6 +104,7 @@ impl GeoTiff {
         let crs = georef::crs(&keys, &mut notes);
         let text = |tag| ifd.tag(tag).and_then(|t| t.value.as_str());
         let band = parse_band_metadata(text(TAG_GDAL_METADATA).unwrap_or(""), &mut notes);
+        let vertical = georef::vertical(&keys, band.unit.as_deref());
         notes.extend(georef::height_unit_note(&keys, band.unit.as_deref()));
         let nodata = match text(TAG_GDAL_NODATA) {
             None => None,
@@ -127,14 +113,8 @@ impl GeoTiff {
                 None
             }),
         };
-        let voids = Voids::new(sample_type, nodata);
-        notes.extend(voids.note());
-        let missing = match voids.nodata_bytes() {
-            Some(bytes) => (bytes, true),
-            None => (vec![0; sample_type.bytes()], false),
-        };
         let mask = find_mask(&file, span_bytes, &tiff, &mut notes)?;
-        let info = SourceInfo {
+        let mut info = SourceInfo {
             file,
             format: "GeoTIFF",
             cols: blocks.cols,
@@ -145,13 +125,25 @@ impl GeoTiff {
             nodata,
             scale: band.scale,
             offset: band.offset,
+            vertical_datum: vertical.datum,
+            vertical_unit_m: vertical.unit_m,
             accuracy_m: None,
             product: None,
-            vertical_datum: None,
-            vertical_unit_m: None,
             notes,
         };
-        Ok(GeoTiff { info, tiff, blocks, mask, voids, missing })
+        let voids = Voids::of(&mut info);
+        let missing = match voids.nodata_bytes() {
+            Some(bytes) => (bytes, true),
+            None => (vec![0; sample_type.bytes()], false),
+        };
+        if matches!(mask, Mask::None)
+            && let Some(mask) = input.beside.find(&[format!("{}.msk", base_name(&info.file))])?
+        {
+            info.notes.push(format!("the mask {} beside the file is not read", mask.file));
+        }
+        sidecar::complete(&mut info, &input, &["tfw", "tifw", "wld"])?;
+        let lzma = LzmaBlocks::default();
+        Ok(GeoTiff { info, tiff, blocks, layout, lzma, stored, mask, voids, missing })
     }
 
     /// Reads one band of one image as little-endian samples.
@@ -171,14 +163,25 @@ impl GeoTiff {
                 tiff_error(&self.info.file, &place, e)
             })?;
         if cfg!(target_endian = "big") && image == 0 {
-            reverse_samples(&mut data, self.info.sample_type);
+            reverse_samples(&mut data, self.stored.bytes());
         }
         Ok(data)
     }
 
-    /// Reads one band of the first image as little-endian samples, the cheaper way.
-    fn read_band(&self, band: usize, w: Window) -> Result<Vec<u8>> {
-        if reads_plain(&self.blocks) { self.read_plain(band, w) } else { self.decode(0, band, w) }
+    /// Reads one band of the first image as little-endian stored samples, the cheapest way.
+    fn read_band(&mut self, band: usize, w: Window) -> Result<Vec<u8>> {
+        if reads_plain(&self.blocks) {
+            return self.read_plain(band, w);
+        }
+        if !self.blocks.lzma {
+            return self.decode(0, band, w);
+        }
+        let mut data =
+            self.lzma.read_band(&self.info.file, &self.tiff, &self.layout, &self.blocks, band, w)?;
+        if cfg!(target_endian = "big") {
+            reverse_samples(&mut data, self.stored.bytes());
+        }
+        Ok(data)
     }
 
     /// Takes one band of the rows of uncompressed strips from the file as they are.
@@ -209,7 +212,7 @@ impl GeoTiff {
             row += rows;
         }
         if self.tiff.byte_order() == ByteOrder::BigEndian {
-            reverse_samples(&mut data, self.info.sample_type);
+            reverse_samples(&mut data, self.stored.bytes());
         }
         Ok(data)
     }
@@ -222,8 +225,7 @@ impl HeightSource for GeoTiff {
 
     fn set_nodata(&mut self, value: f64) {
         self.info.nodata = Some(value);
-        self.voids = Voids::new(self.info.sample_type, Some(value));
-        self.info.notes.extend(self.voids.note());
+        self.voids = Voids::of(&mut self.info);
     }
 
     fn read(&mut self, w: Window) -> Result<Samples> {
@@ -231,7 +233,8 @@ impl HeightSource for GeoTiff {
         if w.cols == 0 || w.rows == 0 {
             return Ok(Samples { cols: w.cols, rows: w.rows, ..Samples::default() });
         }
-        let mut data = self.read_band(0, w)?;
+        let stored = self.read_band(0, w)?;
+        let mut data = self.stored.widen(&self.info.file, stored)?;
         let width = self.info.sample_type.bytes();
         let (fill, fill_is_void) = &self.missing;
         if fill.iter().any(|b| *b != 0) {
@@ -250,7 +253,7 @@ impl HeightSource for GeoTiff {
                 return Ok(Samples { cols: w.cols, rows: w.rows, data, valid });
             }
             Mask::Image(image) => (self.decode(image, 0, w)?, 1),
-            Mask::Alpha(band) => (self.read_band(band, w)?, width),
+            Mask::Alpha(band) => (self.read_band(band, w)?, self.stored.bytes()),
         };
         for (valid, mask) in valid.iter_mut().zip(mask.chunks_exact(mask_width)) {
             if mask.iter().all(|b| *b == 0) {
@@ -289,7 +292,7 @@ fn open_tiff(file: &str, source: SharedSource) -> Result<(TiffFile, Blocks, Rast
     };
     let tiff = parse(options)?;
     let ifd = tiff.ifd(0).map_err(|_| Error::corrupt(file, "header", "the file holds no image"))?;
-    sample_type(file, ifd)?;
+    Stored::of(file, ifd)?;
     let (blocks, layout) = Blocks::check(file, span_bytes, ifd)?;
 
     // The cache is fixed at opening: open again if one row of blocks does not fit into the usual one.
@@ -355,9 +358,29 @@ fn find_mask(file: &str, span_bytes: u64, tiff: &TiffFile, notes: &mut Vec<Strin
     Ok(Mask::None)
 }
 
-fn reverse_samples(data: &mut [u8], sample_type: SampleType) {
-    let width = sample_type.bytes();
+fn reverse_samples(data: &mut [u8], width: usize) {
     if width > 1 {
         data.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    }
+}
+
+fn base_name(file: &str) -> &str {
+    file.rsplit('/').next().unwrap_or(file)
+}
+
+impl TiffSource for Input {
+    fn len(&self) -> u64 {
+        self.span_bytes()
+    }
+
+    fn read_exact_at(&self, offset: u64, len: usize) -> std::result::Result<Vec<u8>, TiffError> {
+        let end = offset.checked_add(len as u64);
+        if end.is_none_or(|end| end > self.span_bytes()) {
+            let data_len = self.span_bytes();
+            return Err(TiffError::OffsetOutOfBounds { offset, length: len as u64, data_len });
+        }
+        let mut bytes = vec![0; len];
+        Input::read_exact_at(self, offset, &mut bytes).map_err(|e| TiffError::Io(e, self.file.clone()))?;
+        Ok(bytes)
     }
 }

@@ -6,6 +6,7 @@
 
 use super::AxisUnit;
 use super::datum::{Datum, Helmert};
+use super::own::Own;
 use crate::base::{Error, Result};
 use proj_core::{CrsDef, DatumToWgs84, GeographicCrsDef, LinearUnit, ProjectedCrsDef, ProjectionMethod};
 
@@ -32,11 +33,18 @@ impl Ellipsoid {
     }
 }
 
+/// Between longitude/latitude and the plane.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Method {
+    Core(ProjectionMethod),
+    Own(Own),
+}
+
 /// One horizontal system.
 #[derive(Clone, Debug)]
 pub(super) struct Definition {
     /// None: longitude and latitude in degrees.
-    pub projection: Option<ProjectionMethod>,
+    pub projection: Option<Method>,
     /// Metres of one unit of a projected system.
     pub unit_m: f64,
     pub ellipsoid: Ellipsoid,
@@ -58,7 +66,7 @@ impl Definition {
         };
         let crs = crs.horizontal_crs().ok_or_else(no_map)?;
         let (projection, unit_m) = match (crs.as_projected(), crs.as_geographic()) {
-            (Some(p), _) => (Some(p.method()), p.linear_unit_to_meter()),
+            (Some(p), _) => (Some(Method::Core(p.method())), p.linear_unit_to_meter()),
             (None, Some(_)) => (None, 1.0),
             (None, None) => return Err(no_map()),
         };
@@ -99,9 +107,9 @@ impl Definition {
     }
 
     /// The geographic and the projected system of proj-core on one nameless datum, so that a transform between
-    /// them is the projection and nothing else. None for geographic systems.
+    /// them is the projection and nothing else. None for geographic systems and projections of our own.
     pub fn core_pair(&self, text: &str) -> Result<Option<(CrsDef, CrsDef)>> {
-        let Some(method) = self.projection else { return Ok(None) };
+        let Some(Method::Core(method)) = self.projection else { return Ok(None) };
         let bad = |e: proj_core::Error| Error::invalid(text, e);
         let ellipsoid = match self.ellipsoid.f {
             0.0 => proj_core::Ellipsoid::sphere(self.ellipsoid.a),
@@ -125,30 +133,34 @@ impl Definition {
     /// Longitude and latitude of a place where the projection is well-behaved.
     pub fn middle(&self) -> [f64; 2] {
         use ProjectionMethod as P;
-        match self.projection {
-            None => [0.0, 0.0],
-            Some(P::TransverseMercator { lon0, lat0, .. }) => [lon0, lat0],
-            Some(P::PolarStereographic { lon0, lat_ts, .. }) => [lon0, lat_ts.clamp(-80.0, 80.0)],
-            Some(P::PolarStereographicVariantC { lon0, lat_ts, .. }) => [lon0, lat_ts.clamp(-80.0, 80.0)],
-            Some(P::LambertConformalConic { lon0, lat1, lat2, .. })
-            | Some(P::LambertConformalConicMichigan { lon0, lat1, lat2, .. })
-            | Some(P::AlbersEqualArea { lon0, lat1, lat2, .. }) => [lon0, (lat1 + lat2) / 2.0],
-            Some(P::LambertAzimuthalEqualArea { lon0, lat0, .. })
-            | Some(P::LambertAzimuthalEqualAreaSpherical { lon0, lat0, .. })
-            | Some(P::ObliqueStereographic { lon0, lat0, .. })
-            | Some(P::LambertConformalConic1SPVariantB { lon0, lat0, .. })
-            | Some(P::CassiniSoldner { lon0, lat0, .. })
-            | Some(P::ColombiaUrban { lon0, lat0, .. })
-            | Some(P::KrovakNorthOrientated { lon0, lat0, .. })
-            | Some(P::KrovakModifiedNorthOrientated { lon0, lat0, .. })
-            | Some(P::AmericanPolyconic { lon0, lat0, .. })
-            | Some(P::AzimuthalEquidistant { lon0, lat0, .. })
-            | Some(P::GuamProjection { lon0, lat0, .. })
-            | Some(P::LabordeObliqueMercator { lon0, lat0, .. }) => [lon0, lat0.clamp(-80.0, 80.0)],
-            Some(P::HotineObliqueMercator { lonc, latc, .. }) => [lonc, latc],
-            Some(P::Mercator { lon0, .. })
-            | Some(P::EquidistantCylindrical { lon0, .. })
-            | Some(P::EqualEarth { lon0, .. }) => [lon0, 10.0],
+        let method = match self.projection {
+            None => return [0.0, 0.0],
+            Some(Method::Own(own)) => return [own.lon0, 10.0],
+            Some(Method::Core(method)) => method,
+        };
+        match method {
+            P::TransverseMercator { lon0, lat0, .. } => [lon0, lat0],
+            P::PolarStereographic { lon0, lat_ts, .. } => [lon0, lat_ts.clamp(-80.0, 80.0)],
+            P::PolarStereographicVariantC { lon0, lat_ts, .. } => [lon0, lat_ts.clamp(-80.0, 80.0)],
+            P::LambertConformalConic { lon0, lat1, lat2, .. }
+            | P::LambertConformalConicMichigan { lon0, lat1, lat2, .. }
+            | P::AlbersEqualArea { lon0, lat1, lat2, .. } => [lon0, (lat1 + lat2) / 2.0],
+            P::LambertAzimuthalEqualArea { lon0, lat0, .. }
+            | P::LambertAzimuthalEqualAreaSpherical { lon0, lat0, .. }
+            | P::ObliqueStereographic { lon0, lat0, .. }
+            | P::LambertConformalConic1SPVariantB { lon0, lat0, .. }
+            | P::CassiniSoldner { lon0, lat0, .. }
+            | P::ColombiaUrban { lon0, lat0, .. }
+            | P::KrovakNorthOrientated { lon0, lat0, .. }
+            | P::KrovakModifiedNorthOrientated { lon0, lat0, .. }
+            | P::AmericanPolyconic { lon0, lat0, .. }
+            | P::AzimuthalEquidistant { lon0, lat0, .. }
+            | P::GuamProjection { lon0, lat0, .. }
+            | P::LabordeObliqueMercator { lon0, lat0, .. } => [lon0, lat0.clamp(-80.0, 80.0)],
+            P::HotineObliqueMercator { lonc, latc, .. } => [lonc, latc],
+            P::Mercator { lon0, .. }
+            | P::EquidistantCylindrical { lon0, .. }
+            | P::EqualEarth { lon0, .. } => [lon0, 10.0],
             _ => [0.0, 10.0],
         }
     }

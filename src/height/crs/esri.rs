@@ -87,3 +87,8 @@ pub(super) fn lookup(code: u32) -> Option<String> {
     let own = SYSTEMS.iter().find(|(c, _)| *c == code).map(|(_, text)| text.to_string());
     own.or_else(|| TWINS.iter().find(|(c, _)| *c == code).map(|(_, epsg)| format!("EPSG:{epsg}")))
 }
+
+/// The codes that have a definition of their own here.
+pub(super) fn own_codes() -> impl Iterator<Item = u32> {
+    SYSTEMS.iter().map(|(code, _)| *code)
+}

@@ -3,18 +3,24 @@
 //! A [`Crs`] is a text that is stored and compared, with the unit of its axes. [`Transform`] is the way from one
 //! to another. This folder is the only door to proj-core and proj-wkt.
 
+mod automatic;
 mod datum;
 mod definition;
 mod esri;
+pub mod geoid;
 mod notation;
+mod own;
 mod transform;
+pub mod vertical;
 mod wkt;
 
+pub use automatic::{automatic, lonlat_bounds};
 pub use datum::{DatumChoice, Helmert};
+pub use notation::datum_words;
 pub use transform::Transform;
 
 use crate::base::{Error, Result};
-use definition::Definition;
+use definition::{Definition, Method};
 
 /// Unit of the horizontal axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,6 +96,10 @@ impl Crs {
 /// system in degrees, so a file in one of these would be read 10 % too large: they are refused.
 const GRAD_CODES: [u32; 8] = [4807, 4810, 4811, 4816, 4819, 4821, 4901, 4902];
 
+/// EPSG systems that proj-core does not hold, as PROJ 9.5.1 writes them: EASE-Grid 2.0.
+const ADDED: [(u32, &str); 1] =
+    [(6933, "+proj=cea +lat_ts=30 +lon_0=0 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs")];
+
 /// What an EPSG code defines; of a compound system, its horizontal part.
 ///
 /// # Errors
@@ -97,6 +107,9 @@ const GRAD_CODES: [u32; 8] = [4807, 4810, 4811, 4816, 4819, 4821, 4901, 4902];
 /// systems in grads.
 fn epsg_definition(code: u32) -> Result<Definition> {
     let text = format!("EPSG:{code}");
+    if let Some((_, definition)) = ADDED.iter().find(|(c, _)| *c == code) {
+        return notation::core_of(definition);
+    }
     let known = (!GRAD_CODES.contains(&code)).then(|| proj_core::lookup_epsg(code)).flatten();
     let crs = known.ok_or_else(|| {
         Error::unsupported(
@@ -108,14 +121,48 @@ fn epsg_definition(code: u32) -> Result<Definition> {
     Definition::from_core(&text, &crs)
 }
 
+/// EPSG systems that count longitude from Paris, Ferro, Oslo and so on. proj-core reads them as if from
+/// Greenwich. Source: prime meridians in the registry of PROJ 9.5.1.
+const OTHER_MERIDIAN: [std::ops::RangeInclusive<u32>; 24] = [
+    2062..=2062,
+    2934..=2934,
+    2963..=2963,
+    4801..=4821,
+    4901..=4904,
+    5221..=5229,
+    5329..=5331,
+    8042..=8045,
+    20790..=20791,
+    21100..=21100,
+    21500..=21500,
+    21780..=21780,
+    22300..=22300,
+    25700..=25700,
+    26591..=26592,
+    27391..=27398,
+    27500..=27500,
+    27561..=27564,
+    27571..=27574,
+    27581..=27584,
+    27591..=27594,
+    29700..=29702,
+    31251..=31253,
+    31281..=31293,
+];
+
 /// Why a system must not be transformed: proj-core and PROJ compute it differently.
 fn differs_from_proj(code: &str, definition: &Definition) -> Option<&'static str> {
-    let _ = code;
+    let epsg = code.strip_prefix("EPSG:").and_then(|n| n.parse::<u32>().ok());
+    if epsg.is_some_and(|n| OTHER_MERIDIAN.iter().any(|codes| codes.contains(&n))) {
+        return Some("a system that counts longitude from another meridian than Greenwich");
+    }
     match definition.projection {
-        Some(proj_core::ProjectionMethod::EquidistantCylindrical { .. }) if definition.ellipsoid.f != 0.0 => {
+        Some(Method::Core(proj_core::ProjectionMethod::EquidistantCylindrical { .. }))
+            if definition.ellipsoid.f != 0.0 =>
+        {
             Some(
                 "an equidistant cylindrical system on an ellipsoid, for which versions of PROJ use different \
-             formulas, up to 25 km apart",
+                 formulas, up to 25 km apart",
             )
         }
         _ => None,

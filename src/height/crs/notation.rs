@@ -1,12 +1,15 @@
 //! The notations of a system: EPSG and ESRI codes, PROJ strings, WKT; and the one text that is stored.
 
 use super::datum::Datum;
-use super::definition::{Definition, Ellipsoid};
+use super::definition::{Definition, Ellipsoid, Method};
 use super::wkt::{self, Node};
-use super::{epsg_definition, esri};
+use super::{Crs, epsg_definition, esri, own};
 use crate::base::limits::TEXT_BYTES_MAX;
 use crate::base::{Error, Result};
 use proj_core::ProjectionMethod as P;
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::sync::OnceLock;
 
 /// The text to store and what it defines.
 pub(super) fn read(text: &str) -> Result<(String, Definition)> {
@@ -47,9 +50,10 @@ fn esri_code(n: u32) -> Result<(String, Definition)> {
             "give its definition: --crs with a PROJ string (+proj=...) or its WKT",
         )
     })?;
-    let (code, definition) = read(&text)?;
-    let code = if code.starts_with("EPSG:") { code } else { format!("ESRI:{n}") };
-    Ok((code, definition))
+    if text.starts_with('+') {
+        return Ok((format!("ESRI:{n}"), core_of(&text)?));
+    }
+    read(&text)
 }
 
 /// Datums that PROJ's `+datum=` defines by an ellipsoid and a shift.
@@ -94,14 +98,22 @@ fn proj_string(text: &str) -> Result<(String, Definition)> {
         words.push(format!("+lat_2={lat_1}"));
         words.extend(lat_0);
     }
-    let joined = words.join(" ");
-    let core = proj_wkt::parse_crs(&joined).map_err(|e| {
+    let definition = core_of(&words.join(" "))?;
+    canonical(text, definition)
+}
+
+/// The definition of a PROJ string without PROJ's own peculiarities.
+pub(super) fn core_of(text: &str) -> Result<Definition> {
+    if let Some(own) = own::read(text)? {
+        return Ok(own);
+    }
+    let core = proj_wkt::parse_crs(text).map_err(|e| {
         Error::unsupported(text, e, "give an EPSG code, or warp the grid with GDAL into such a system first")
     })?;
-    if core.epsg() != 0 {
-        return Ok((format!("EPSG:{}", core.epsg()), epsg_definition(core.epsg())?));
+    match core.epsg() {
+        0 => Definition::from_core(text, &core),
+        n => epsg_definition(n),
     }
-    canonical(text, Definition::from_core(text, &core)?)
 }
 
 fn wkt_text(text: &str) -> Result<(String, Definition)> {
@@ -130,12 +142,72 @@ fn wkt_text(text: &str) -> Result<(String, Definition)> {
     canonical(&short(), Definition::from_core(&short(), &core)?)
 }
 
-/// The PROJ string of a definition, read again: the text that is stored is the one that counts.
+/// The text to store for a definition: its code if a common system is written the same, else its PROJ string.
 fn canonical(text: &str, definition: Definition) -> Result<(String, Definition)> {
     let written = write(&definition).ok_or_else(|| {
         Error::unsupported(text, "a projection that has no PROJ string", "name the CRS by its EPSG code")
     })?;
-    Ok((written, definition))
+    Ok((common_names().get(&written).cloned().unwrap_or(written), definition))
+}
+
+/// EPSG systems that files often spell out instead of naming: on WGS 84, NAD83 or NAD27, the datums that a
+/// PROJ string can name.
+const COMMON: [RangeInclusive<u32>; 24] = [
+    4326..=4326,
+    4269..=4269,
+    4267..=4267,
+    3857..=3857,
+    3395..=3395,
+    3031..=3032,
+    3413..=3413,
+    3976..=3976,
+    3995..=3996,
+    32661..=32661,
+    32761..=32761,
+    6931..=6933,
+    3571..=3576,
+    5070..=5071,
+    3338..=3338,
+    3005..=3005,
+    3347..=3348,
+    3978..=3979,
+    32601..=32660,
+    32701..=32760,
+    26901..=26923,
+    26701..=26722,
+    26929..=26998,
+    2222..=2289,
+];
+
+/// Codes by the PROJ strings of their systems; EPSG before ESRI.
+fn common_names() -> &'static BTreeMap<String, String> {
+    static NAMES: OnceLock<BTreeMap<String, String>> = OnceLock::new();
+    NAMES.get_or_init(|| {
+        let mut names = BTreeMap::new();
+        for n in esri::own_codes() {
+            let text = esri::lookup(n).and_then(|text| core_of(&text).ok()).and_then(|d| write(&d));
+            names.extend(text.map(|text| (text, format!("ESRI:{n}"))));
+        }
+        // Backwards, so that of two codes with one definition the lower one stays.
+        for n in COMMON.into_iter().flatten().rev() {
+            let definition = epsg_definition(n).ok().filter(|d| names_its_datum(&d.datum));
+            names.extend(definition.and_then(|d| write(&d)).map(|text| (text, format!("EPSG:{n}"))));
+        }
+        names
+    })
+}
+
+fn names_its_datum(datum: &Datum) -> bool {
+    matches!(datum, Datum::Modern { code: 6326 | 6269, .. } | Datum::Old { code: 6267, .. })
+}
+
+/// The words of a PROJ string for datum and ellipsoid of a system.
+///
+/// # Errors
+/// If the system is not known.
+pub fn datum_words(crs: &Crs) -> Result<String> {
+    let definition = crs.definition()?;
+    Ok(datum_text(&definition))
 }
 
 const ELLIPSOIDS: [(&str, f64, f64); 7] = [
@@ -151,9 +223,23 @@ const ELLIPSOIDS: [(&str, f64, f64); 7] = [
 fn write(d: &Definition) -> Option<String> {
     let mut out = match d.projection {
         None => "+proj=longlat".to_string(),
-        Some(p) => projection(p)?,
+        Some(Method::Core(p)) => projection(p)?,
+        Some(Method::Own(p)) => p.to_string(),
     };
-    let datum = match &d.datum {
+    out.push(' ');
+    out.push_str(&datum_text(d));
+    if d.projection.is_some() {
+        match d.unit_m {
+            1.0 => out.push_str(" +units=m"),
+            m => out.push_str(&format!(" +to_meter={m}")),
+        }
+    }
+    out.push_str(" +no_defs");
+    Some(out)
+}
+
+fn datum_text(d: &Definition) -> String {
+    match &d.datum {
         Datum::Modern { code: 6326, .. } => "+datum=WGS84".to_string(),
         Datum::Modern { code: 6269, .. } => "+datum=NAD83".to_string(),
         Datum::Old { code: 6267, .. } => "+datum=NAD27".to_string(),
@@ -163,17 +249,7 @@ fn write(d: &Definition) -> Option<String> {
             format!("{} +towgs84={x},{y},{z},{rx},{ry},{rz},{s}", ellipsoid(d.ellipsoid))
         }
         Datum::Old { .. } | Datum::Unnamed { .. } => ellipsoid(d.ellipsoid),
-    };
-    out.push(' ');
-    out.push_str(&datum);
-    if d.projection.is_some() {
-        match d.unit_m {
-            1.0 => out.push_str(" +units=m"),
-            m => out.push_str(&format!(" +to_meter={m}")),
-        }
     }
-    out.push_str(" +no_defs");
-    Some(out)
 }
 
 fn ellipsoid(e: Ellipsoid) -> String {

@@ -1,7 +1,8 @@
 //! The way from one system to another: back to longitude and latitude, over the datums, and forth again.
 
 use super::datum::{DatumChoice, Shift};
-use super::definition::Definition;
+use super::definition::{Definition, Method};
+use super::own::Plane;
 use super::{Crs, differs_from_proj};
 use crate::base::{Error, Result};
 
@@ -17,9 +18,11 @@ pub struct Transform {
 }
 
 /// Between the coordinates of a system and degrees on its own datum.
-struct Projection {
-    /// Forward and inverse; None for geographic systems.
-    pair: Option<(proj_core::Transform, proj_core::Transform)>,
+enum Projection {
+    Geographic,
+    /// Forward and inverse.
+    Core(Box<(proj_core::Transform, proj_core::Transform)>),
+    Own(Plane),
 }
 
 impl Transform {
@@ -69,30 +72,39 @@ impl Projection {
                 "warp the grid into another system with GDAL first",
             ));
         }
+        if let Some(Method::Own(own)) = definition.projection {
+            return Ok(Projection::Own(Plane::new(own, definition.ellipsoid, definition.unit_m)));
+        }
         let Some((geographic, projected)) = definition.core_pair(&crs.code)? else {
-            return Ok(Projection { pair: None });
+            return Ok(Projection::Geographic);
         };
         let way = |a, b| proj_core::Transform::from_crs_defs(a, b).map_err(|e| Error::invalid(&crs.code, e));
-        Ok(Projection { pair: Some((way(&geographic, &projected)?, way(&projected, &geographic)?)) })
+        Ok(Projection::Core(Box::new((way(&geographic, &projected)?, way(&projected, &geographic)?))))
     }
 
     fn project(&self, p: [f64; 2]) -> Option<[f64; 2]> {
-        let way = self.pair.as_ref().map(|(forward, _)| forward);
-        run(way, p)
+        finite(match self {
+            Projection::Geographic => p,
+            Projection::Core(pair) => run(&pair.0, p)?,
+            Projection::Own(plane) => plane.project(p)?,
+        })
     }
 
     fn unproject(&self, p: [f64; 2]) -> Option<[f64; 2]> {
-        let way = self.pair.as_ref().map(|(_, inverse)| inverse);
-        run(way, p)
+        finite(match self {
+            Projection::Geographic => p,
+            Projection::Core(pair) => run(&pair.1, p)?,
+            Projection::Own(plane) => plane.unproject(p)?,
+        })
     }
 }
 
-fn run(way: Option<&proj_core::Transform>, p: [f64; 2]) -> Option<[f64; 2]> {
-    let out = match way {
-        None => p,
-        Some(way) => way.convert((p[0], p[1])).map(|(x, y)| [x, y]).ok()?,
-    };
-    out.iter().all(|v| v.is_finite()).then_some(out)
+fn run(way: &proj_core::Transform, p: [f64; 2]) -> Option<[f64; 2]> {
+    way.convert((p[0], p[1])).map(|(x, y)| [x, y]).ok()
+}
+
+fn finite(p: [f64; 2]) -> Option<[f64; 2]> {
+    p.iter().all(|v| v.is_finite()).then_some(p)
 }
 
 /// Whether two systems put points at the same place: nine points around the middle of the projection.

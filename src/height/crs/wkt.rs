@@ -186,12 +186,27 @@ pub(super) fn horizontal(root: &Node) -> Option<&Node> {
     }
 }
 
-/// Puts a projection's name and parameters in the words that proj-wkt knows.
+/// Keywords of vertical systems.
+const VERTICAL: [&str; 4] = ["VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS"];
+
+/// The vertical system of a tree: a part of a compound system, or, as ESRI writes it, of a horizontal one.
+pub(super) fn vertical(root: &Node) -> Option<&Node> {
+    match VERTICAL.contains(&root.keyword.as_str()) {
+        true => Some(root),
+        false => root.children().find_map(|n| match n.keyword.as_str() {
+            "COMPD_CS" | "COMPOUNDCRS" | "PROJCS" | "GEOGCS" | "SOURCECRS" => vertical(n),
+            k => VERTICAL.contains(&k).then_some(n),
+        }),
+    }
+}
+
+/// Puts a projection's name and parameters in the words that proj-wkt knows, and drops a vertical part.
 ///
 /// # Errors
 /// For names that proj-wkt would read as something else: general (neither polar nor double) stereographic,
 /// and Krovak with axes to south and west.
 pub(super) fn in_known_words(node: &mut Node) -> Result<()> {
+    node.values.retain(|v| !matches!(v, Value::Node(n) if VERTICAL.contains(&n.keyword.as_str())));
     let Some(name) = projection_name(node) else { return Ok(()) };
     let lower = name.to_ascii_lowercase();
     let known = match lower.as_str() {

@@ -1,8 +1,10 @@
 //! Evaluating the surface: which patches reach a point, their weights, their blend.
 
 use super::buckets::Buckets;
+use super::seam::Field;
 use super::{Dual, Hood, Jet, KAPPA, Real, outside};
 use crate::base::lattice::Point;
+use crate::base::round::add_up;
 use crate::base::{Error, Result};
 use crate::height::frame::{Frame, LatticeUnit};
 use crate::height::lod::cut::Cut;
@@ -29,6 +31,16 @@ pub enum Seams {
     All,
     /// The same, by no more than the two stated accuracies allow; the rest stays a step.
     Consistent,
+}
+
+impl Seams {
+    pub fn name(self) -> &'static str {
+        match self {
+            Seams::Off => "off",
+            Seams::All => "all",
+            Seams::Consistent => "consistent",
+        }
+    }
 }
 
 /// How a surface is made of its patches.
@@ -78,6 +90,8 @@ pub trait Source: Sync {
     fn shape(&self, patch: usize) -> Result<Shape>;
     /// Cells of core' around a level-0 block of the n-th survey.
     fn hood(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Hood>>;
+    /// The correction of the n-th survey over a level-0 block.
+    fn seam(&self, survey: usize, i: i32, j: i32) -> Result<Arc<Field>>;
 }
 
 /// What the surface is at a point.
@@ -92,7 +106,8 @@ pub struct Evaluation {
     pub accuracy_m: f64,
     /// False in the rim outside every core: the height is given, its error is not promised.
     pub certified: bool,
-    /// What the correction of seams added (section 15), metres; `z - correction_m` is the surface without it.
+    /// What the correction of seams added (section 15), metres; `z - correction_m` is the surface without it: bit for bit
+    /// where the two are within a factor of two, else up to the last bit of the larger.
     pub correction_m: f64,
     /// The correction comes from surveys that contradict each other: it is invented ground.
     pub contradiction: bool,
@@ -110,6 +125,8 @@ pub struct Surface {
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
     pub blend: Blend,
+    /// Surveys are bent towards better ones along their borders.
+    pub corrected: bool,
     index: Buckets,
 }
 
@@ -180,7 +197,7 @@ impl Surface {
             })
             .collect();
         let index = Buckets::new(&boxes);
-        Surface { kind, origin, surveys, patches, blend, index }
+        Surface { kind, origin, surveys, patches, blend, corrected: false, index }
     }
 }
 
@@ -199,11 +216,15 @@ pub(super) struct Scratch {
     /// Patches met lately, by number modulo their count.
     last: Vec<Option<(u32, Shape)>>,
     /// Weights and errors of the contributors at the point.
-    shares: Vec<(f64, f32)>,
+    shares: Vec<(f64, f64)>,
+    /// Per survey: the block of its correction met last.
+    seams: Vec<Option<MetField>>,
 }
 
 /// Indices of a level-0 block, and its cells.
 type MetHood = ((i32, i32), Arc<Hood>);
+/// Indices of a level-0 block, and the correction there.
+type MetField = ((i32, i32), Arc<Field>);
 
 /// An evaluation, and who contributed: patch number and weight.
 pub type Explained = (Evaluation, Vec<(usize, f64)>);
@@ -237,7 +258,7 @@ impl Sheet<'_> {
                 "make a database with `terraquilt init DB --patch bicubic` and ingest the surveys there",
             ));
         }
-        self.each(points, |s, p| Ok(self.evaluate::<Jet>(p, s, None)?.map(|(e, f)| (e, f.hessian()))))
+        self.each(points, |s, p| self.evaluate::<Jet>(p, s, None))
     }
 
     /// A height and who contributed to it: patch number and normalised weight, largest first.
@@ -250,6 +271,16 @@ impl Sheet<'_> {
         who.iter_mut().for_each(|(_, w)| *w /= sum);
         who.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         Ok(Some((e, who)))
+    }
+
+    /// The correction of a survey of the surface at a point, metres: what is added to each of its patches there.
+    pub fn correction_of(&self, survey: usize, p: [f64; 2]) -> Result<f64> {
+        if !self.surface.corrected {
+            return Ok(0.0);
+        }
+        let local = [0, 1].map(|k| p[k] - self.surface.origin[k]);
+        let index: [f64; 2] = self.surface.surveys[survey].index(local);
+        Ok(self.correction(survey, index, self.cut.at(p), &mut Scratch::default())?.0)
     }
 
     fn each<E>(
@@ -295,13 +326,13 @@ impl Sheet<'_> {
         }
     }
 
-    /// What the surface is at a point, and its height (above the first patch's) with the derivatives that `T` carries.
+    /// What the surface is at a point, and its second derivatives (0 where `T` does not carry them).
     fn evaluate<T: Real>(
         &self,
         point: [f64; 2],
         s: &mut Scratch,
         mut who: Option<&mut Vec<(usize, f64)>>,
-    ) -> Result<Option<(Evaluation, T)>> {
+    ) -> Result<Option<(Evaluation, Hessian)>> {
         let surface = self.surface;
         let p = [point[0] - surface.origin[0], point[1] - surface.origin[1]];
         let near = surface.index.at(p);
@@ -317,7 +348,8 @@ impl Sheet<'_> {
         let mut weights = T::constant(0.0);
         let mut sum = T::constant(0.0);
         let mut reference = None;
-        let mut error = f32::NEG_INFINITY;
+        let mut error = f64::NEG_INFINITY;
+        let mut seams = Corrections::new(surface);
         s.shares.clear();
         let mut accuracy = f32::INFINITY;
         for &k in near {
@@ -367,7 +399,13 @@ impl Sheet<'_> {
             let zero = *reference.get_or_insert(f.value());
             weights = weights + weight;
             sum = sum + weight * (f - T::constant(zero));
-            s.shares.push((weight.value(), patch.bot));
+            let mut bound = f64::from(patch.bot);
+            if surface.corrected {
+                let c = seams.of(self, patch.survey, here.index, tolerance, s)?;
+                seams.sum = seams.sum + weight * c;
+                bound = add_up(bound, c.value().abs());
+            }
+            s.shares.push((weight.value(), bound));
             accuracy = accuracy.min(survey.accuracy);
             if let Some(w) = who.as_deref_mut() {
                 w.push((k as usize, weight.value()));
@@ -393,16 +431,40 @@ impl Sheet<'_> {
                 best = best.min(survey.accuracy);
             }
         }
+        let (mut z, mut correction_m) = (zero + f.value(), 0.0);
+        let (mut gradient, mut hessian) = (f.gradient(), f.hessian());
+        if surface.corrected {
+            let c = seams.sum / weights;
+            let plain = z;
+            z += c.value();
+            correction_m = z - plain;
+            gradient = [0, 1].map(|k| gradient[k] + c.gradient()[k]);
+            hessian = [0, 1, 2].map(|k| hessian[k] + c.hessian()[k]);
+        }
         let evaluation = Evaluation {
-            z: zero + f.value(),
-            gradient: f.gradient(),
-            error_m: f64::from(error),
+            z,
+            gradient,
+            error_m: error,
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
-            correction_m: 0.0,
-            contradiction: false,
+            correction_m,
+            contradiction: seams.contradiction,
         };
-        Ok(Some((evaluation, f)))
+        Ok(Some((evaluation, hessian)))
+    }
+
+    /// The correction of a survey at a point of its index space, and whether contradicting surveys made it.
+    fn correction<T: Real>(&self, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<(T, bool)> {
+        let block = index.map(|c| (c.value() / KERNEL as f64).floor());
+        let key = (block[0] as i32, block[1] as i32);
+        s.seams.resize(self.surface.surveys.len(), None);
+        let slot = &mut s.seams[survey];
+        let field = match slot {
+            Some((k, f)) if *k == key => &*f,
+            _ => &slot.insert((key, self.source.seam(survey, key.0, key.1)?)).1,
+        };
+        let [x, y] = [0, 1].map(|k| index[k] - T::constant(block[k] * KERNEL as f64));
+        Ok(field.at(x, y, z, |t: T| t.ramp(self.surface.kind)))
     }
 
     /// up' dn: how much of a patch is there at a tolerance.
@@ -446,5 +508,32 @@ impl Sheet<'_> {
             up = up + (one - up) * mask;
         }
         Ok(up * down)
+    }
+}
+
+/// The corrections at one point: by survey, and their weighted sum.
+struct Corrections<T> {
+    few: [Option<T>; FEW],
+    many: Vec<Option<T>>,
+    sum: T,
+    contradiction: bool,
+}
+
+impl<T: Real> Corrections<T> {
+    fn new(surface: &Surface) -> Corrections<T> {
+        let n = surface.surveys.len();
+        let many = if surface.corrected && n > FEW { vec![None; n] } else { Vec::new() };
+        Corrections { few: [None; FEW], many, sum: T::constant(0.0), contradiction: false }
+    }
+
+    /// The correction of a survey that contributes.
+    fn of(&mut self, sheet: &Sheet, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<T> {
+        let slot = if self.many.is_empty() { &mut self.few[survey] } else { &mut self.many[survey] };
+        if let Some(c) = slot {
+            return Ok(*c);
+        }
+        let (c, contradicted) = sheet.correction(survey, index, z, s)?;
+        self.contradiction |= contradicted;
+        Ok(*slot.insert(c))
     }
 }

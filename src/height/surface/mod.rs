@@ -15,12 +15,13 @@
 //! gradient and second derivatives come from the same formula, evaluated in numbers that carry them ([`Real`]).
 //!
 //! Where a cell of core' holds p, every contributor has `bot <= max(tolerance, best)`: theorem T7.
-//! An additive correction per survey (section 15) has its place in [`Evaluation::correction_m`]; it is 0 so far.
+//! Where surveys disagree, a correction per survey may be added to its patches (section 15): [`seam`].
 
 mod buckets;
 mod eval;
 mod hood;
 mod real;
+pub mod seam;
 
 pub use eval::{Blend, Evaluation, Hessian, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
 pub use hood::{Hood, outside};

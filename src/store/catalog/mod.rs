@@ -48,6 +48,19 @@ pub struct Commit {
     pub counters: Counters,
 }
 
+/// Everything that a catalog holds.
+#[derive(Clone, Debug)]
+pub struct Contents {
+    pub constants: BTreeMap<String, String>,
+    /// Versions, ascending, each with the files that it reads.
+    pub versions: Vec<(Version, Vec<NamedFile>)>,
+    /// Ids of operations and the versions that they made.
+    pub operations: Vec<(String, u64)>,
+    pub counters: Counters,
+    /// The newest version when this was made as a backup; `None` for any other database.
+    pub backup: Option<u64>,
+}
+
 pub trait Catalog: Send {
     fn constants(&self) -> Result<BTreeMap<String, String>>;
     fn counters(&self) -> Result<Counters>;
@@ -58,6 +71,8 @@ pub trait Catalog: Send {
     fn versions(&self) -> Result<Vec<Version>>;
     /// The version that an operation made, even if it was pruned since.
     fn operation(&self, id: &str) -> Result<Option<u64>>;
+    /// Every operation and the version that it made, ascending by version.
+    fn operations(&self) -> Result<Vec<(String, u64)>>;
     /// The files of a version, ascending.
     fn files(&self, version: u64) -> Result<Vec<NamedFile>>;
     /// Every file that some version names: number and length, ascending.

@@ -1,6 +1,6 @@
 //! The catalog in SQLite (WAL, synchronous = FULL); schema in `migrations/`.
 
-use super::{Catalog, Commit, Counters, NamedFile, Version};
+use super::{Catalog, Commit, Contents, Counters, NamedFile, Version};
 use crate::base::bytes::Reader;
 use crate::base::{Error, Result};
 use crate::store::segment::PageRef;
@@ -27,16 +27,11 @@ pub struct Sqlite {
 }
 
 impl Sqlite {
-    /// Creates the catalog of a new database.
-    pub fn create(path: &Path, constants: &BTreeMap<String, String>) -> Result<Sqlite> {
+    /// Creates an empty catalog.
+    pub fn create(path: &Path) -> Result<Sqlite> {
         let mut db = Connection::open(path)?;
         configure(&db)?;
         migrate(&mut db)?;
-        let tx = db.transaction()?;
-        for (k, v) in constants {
-            tx.execute("INSERT INTO constant VALUES (?1, ?2)", params![k, v])?;
-        }
-        tx.commit()?;
         Ok(Sqlite { db })
     }
 
@@ -48,6 +43,36 @@ impl Sqlite {
         refuse_newer(&db)?;
         migrate(&mut db)?;
         Ok(Sqlite { db })
+    }
+
+    /// Makes the catalog hold this and nothing else. One transaction.
+    pub fn fill(&mut self, contents: &Contents) -> Result<()> {
+        let tx = self.db.transaction()?;
+        for table in ["version_file", "version", "file", "operation", "constant"] {
+            tx.execute(&format!("DELETE FROM {table}"), [])?;
+        }
+        for (name, value) in &contents.constants {
+            tx.execute("INSERT INTO constant VALUES (?1, ?2)", params![name, value])?;
+        }
+        for (version, files) in &contents.versions {
+            insert_version(&tx, version, files)?;
+        }
+        for (id, version) in &contents.operations {
+            tx.execute("INSERT INTO operation VALUES (?1, ?2)", params![id, *version as i64])?;
+        }
+        set_counters(&tx, &contents.counters)?;
+        tx.execute("DELETE FROM counter WHERE name = 'backup'", [])?;
+        if let Some(version) = contents.backup {
+            tx.execute("INSERT INTO counter VALUES ('backup', ?1)", [version as i64])?;
+        }
+        tx.commit()?;
+        Ok(())
+    }
+
+    /// The newest version when a backup was made here; `None` if this is no backup.
+    pub fn backup(&self) -> Result<Option<u64>> {
+        let sql = "SELECT value FROM counter WHERE name = 'backup'";
+        Ok(self.db.query_row(sql, [], |r| r.get::<_, i64>(0)).optional()?.map(|v| v as u64))
     }
 
     /// Opens a catalog for reading. On a medium that cannot be written it is taken as unchanging.
@@ -138,6 +163,35 @@ fn with_root((mut v, root): (Version, Vec<u8>)) -> Result<Version> {
     Ok(v)
 }
 
+fn insert_version(tx: &Connection, v: &Version, files: &[NamedFile]) -> Result<()> {
+    let mut root = Vec::new();
+    v.root.put(&mut root);
+    tx.execute(
+        "INSERT INTO version (number, operation, made_at, action, root) VALUES (?1, ?2, ?3, ?4, ?5)",
+        params![v.number as i64, v.operation, v.made_at, v.action, root],
+    )?;
+    for f in files {
+        tx.execute(
+            "INSERT OR IGNORE INTO file VALUES (?1, ?2)",
+            params![i64::from(f.number), f.length as i64],
+        )?;
+        tx.execute(
+            "INSERT INTO version_file VALUES (?1, ?2, ?3)",
+            params![v.number as i64, i64::from(f.number), f.live as i64],
+        )?;
+    }
+    Ok(())
+}
+
+fn set_counters(tx: &Connection, c: &Counters) -> Result<()> {
+    for (name, value) in
+        [("file", i64::from(c.file)), ("survey", i64::from(c.survey)), ("version", c.version as i64)]
+    {
+        tx.execute("UPDATE counter SET value = ?2 WHERE name = ?1", params![name, value])?;
+    }
+    Ok(())
+}
+
 const COLUMNS: &str = "number, operation, made_at, action, root";
 
 impl Catalog for Sqlite {
@@ -189,6 +243,12 @@ impl Catalog for Sqlite {
         Ok(found.map(|v| v as u64))
     }
 
+    fn operations(&self) -> Result<Vec<(String, u64)>> {
+        let mut q = self.db.prepare_cached("SELECT id, version FROM operation ORDER BY version, id")?;
+        let rows = q.query_map([], |r| Ok((r.get(0)?, r.get::<_, i64>(1)? as u64)))?;
+        Ok(rows.collect::<rusqlite::Result<_>>()?)
+    }
+
     fn files(&self, version: u64) -> Result<Vec<NamedFile>> {
         let mut q = self.db.prepare_cached(
             "SELECT f.number, f.length, v.live FROM version_file v JOIN file f ON f.number = v.file
@@ -212,31 +272,10 @@ impl Catalog for Sqlite {
 
     fn commit(&mut self, c: &Commit) -> Result<()> {
         let tx = self.db.transaction()?;
+        insert_version(&tx, &c.version, &c.files)?;
         let v = &c.version;
-        let mut root = Vec::new();
-        v.root.put(&mut root);
-        tx.execute(
-            "INSERT INTO version (number, operation, made_at, action, root) VALUES (?1, ?2, ?3, ?4, ?5)",
-            params![v.number as i64, v.operation, v.made_at, v.action, root],
-        )?;
         tx.execute("INSERT INTO operation VALUES (?1, ?2)", params![v.operation, v.number as i64])?;
-        for f in &c.files {
-            tx.execute(
-                "INSERT OR IGNORE INTO file VALUES (?1, ?2)",
-                params![i64::from(f.number), f.length as i64],
-            )?;
-            tx.execute(
-                "INSERT INTO version_file VALUES (?1, ?2, ?3)",
-                params![v.number as i64, i64::from(f.number), f.live as i64],
-            )?;
-        }
-        for (name, value) in [
-            ("file", i64::from(c.counters.file)),
-            ("survey", i64::from(c.counters.survey)),
-            ("version", c.counters.version as i64),
-        ] {
-            tx.execute("UPDATE counter SET value = ?2 WHERE name = ?1", params![name, value])?;
-        }
+        set_counters(&tx, &c.counters)?;
         tx.commit()?;
         Ok(())
     }

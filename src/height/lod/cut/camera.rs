@@ -215,7 +215,7 @@ impl Cut for Camera {
 }
 
 /// Distance of the origin from a convex polygon (0 inside).
-fn distance_to_origin(p: &[[f64; 2]]) -> f64 {
+pub(super) fn distance_to_origin(p: &[[f64; 2]]) -> f64 {
     let n = p.len();
     let (mut left, mut right) = (false, false);
     let mut least = f64::INFINITY;

@@ -1,9 +1,15 @@
 //! Tolerance surfaces: how much error is allowed where. Predicates only; the tree does not know which is which.
 
 mod camera;
+mod foci;
+mod raster;
 mod region;
+#[cfg(test)]
+mod testing;
 
 pub use camera::Camera;
+pub use foci::{Foci, Focus};
+pub use raster::ErrorRaster;
 pub use region::{Region, bounds};
 
 /// A tolerance over the plane, metres (section 5.2 of the LOD-space specification).

@@ -1,53 +1,14 @@
 //! Must show 8: a GLB of a region is the surface within its bound, manifold but for its border, where surveys meet too.
 
+mod compact;
+mod reader;
+
 use crate::support::{Random, bundled, printed};
+use reader::{Glb, read};
 use serde_json::Value;
 use terraquilt::db::query::Tolerance;
 use terraquilt::db::{Db, Snapshot};
-use terraquilt::height::surface::Blend;
-
-/// A mesh read back from the bytes of a GLB: positions (east, north, up), triangles.
-struct Glb {
-    json: Value,
-    positions: Vec<[f64; 3]>,
-    triangles: Vec<[usize; 3]>,
-}
-
-fn read(path: &std::path::Path) -> Glb {
-    let bytes = std::fs::read(path).unwrap();
-    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
-    assert_eq!(&bytes[..4], b"glTF");
-    assert_eq!(word(8), bytes.len());
-    let json_len = word(12);
-    let json: Value = serde_json::from_slice(&bytes[20..20 + json_len]).unwrap();
-    let bin = &bytes[20 + json_len + 8..];
-    let origin: Vec<f64> =
-        json["asset"]["extras"]["origin"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
-    let primitive = &json["meshes"][0]["primitives"][0];
-    let accessor = |n: &Value| {
-        let a = &json["accessors"][n.as_u64().unwrap() as usize];
-        let view = &json["bufferViews"][a["bufferView"].as_u64().unwrap() as usize];
-        let at = view["byteOffset"].as_u64().unwrap_or(0) + a["byteOffset"].as_u64().unwrap_or(0);
-        (at as usize, a["count"].as_u64().unwrap() as usize, a["componentType"].as_u64().unwrap())
-    };
-    let (at, count, kind) = accessor(&primitive["attributes"]["POSITION"]);
-    assert_eq!(kind, 5126);
-    let f = |k: usize| f64::from(f32::from_le_bytes(bin[k..k + 4].try_into().unwrap()));
-    let positions = (0..count)
-        .map(|k| {
-            let (x, y, z) = (f(at + 12 * k), f(at + 12 * k + 4), f(at + 12 * k + 8));
-            // glTF axes: x east, y up, z south.
-            [origin[0] + x, origin[1] - z, origin[2] + y]
-        })
-        .collect();
-    let (at, count, kind) = accessor(&primitive["indices"]);
-    let index = |k: usize| match kind {
-        5123 => u16::from_le_bytes(bin[at + 2 * k..at + 2 * k + 2].try_into().unwrap()) as usize,
-        _ => u32::from_le_bytes(bin[at + 4 * k..at + 4 * k + 4].try_into().unwrap()) as usize,
-    };
-    let triangles = (0..count / 3).map(|k| [index(3 * k), index(3 * k + 1), index(3 * k + 2)]).collect();
-    Glb { json, positions, triangles }
-}
+use terraquilt::height::surface::{Blend, How, Seams};
 
 impl Glb {
     /// Height of the mesh at points: each point is looked for in the triangles of its square.
@@ -84,20 +45,20 @@ impl Glb {
         };
         points.iter().map(height).collect()
     }
+}
 
-    /// Edges that one triangle has, and that the neighbour does not: the border. Fails where an edge has three.
-    fn border(&self) -> usize {
-        let mut edges: std::collections::HashMap<(usize, usize), i32> = Default::default();
-        for t in &self.triangles {
-            for k in 0..3 {
-                let (a, b) = (t[k], t[(k + 1) % 3]);
-                let n = edges.entry((a, b)).or_default();
-                *n += 1;
-                assert_eq!(*n, 1, "edge {a} {b} runs twice in one direction");
-            }
+/// Edges that one triangle has, and that the neighbour does not: the border. Fails where an edge has three.
+fn border_edges(mesh: &Glb) -> usize {
+    let mut edges: std::collections::HashMap<(usize, usize), i32> = Default::default();
+    for t in &mesh.triangles {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            let n = edges.entry((a, b)).or_default();
+            *n += 1;
+            assert_eq!(*n, 1, "edge {a} {b} runs twice in one direction");
         }
-        edges.keys().filter(|(a, b)| !edges.contains_key(&(*b, *a))).count()
     }
+    edges.keys().filter(|(a, b)| !edges.contains_key(&(*b, *a))).count()
 }
 
 struct Met {
@@ -108,9 +69,17 @@ struct Met {
 
 /// Compares mesh and surface at points. A point where they differ by more counts as met if the surface takes the mesh's
 /// height within `wall` metres sideways.
-fn compare(s: &Snapshot, mesh: &Glb, surface_error: f64, bound: f64, wall: f64, points: &[[f64; 2]]) -> Met {
+fn compare(
+    s: &Snapshot,
+    mesh: &Glb,
+    (surface_error, seams): (f64, Seams),
+    bound: f64,
+    wall: f64,
+    points: &[[f64; 2]],
+) -> Met {
+    let how = How { blend: Blend::Exact, seams };
     let tolerance = Tolerance::Constant(surface_error);
-    let found = s.heights(points, &tolerance, Blend::Exact).unwrap();
+    let found = s.heights(points, &tolerance, how).unwrap();
     let mut met = Met { points: 0, worst: 0.0, at_walls: 0 };
     for ((p, z), e) in points.iter().zip(mesh.heights(points)).zip(found) {
         let (Some(z), Some(e)) = (z, e) else { continue };
@@ -126,7 +95,7 @@ fn compare(s: &Snapshot, mesh: &Glb, surface_error: f64, bound: f64, wall: f64, 
                 [0.25, 0.5, 0.75, 1.0].map(|r| [p[0] + r * wall * c, p[1] + r * wall * s])
             })
             .collect();
-        let beside = s.heights(&around, &tolerance, Blend::Exact).unwrap();
+        let beside = s.heights(&around, &tolerance, how).unwrap();
         let (lo, hi) = beside.iter().flatten().fold((e.z, e.z), |(lo, hi), b| (lo.min(b.z), hi.max(b.z)));
         let beyond = (lo - z).max(z - hi).max(0.0);
         met.worst = met.worst.max(beyond);
@@ -137,6 +106,15 @@ fn compare(s: &Snapshot, mesh: &Glb, surface_error: f64, bound: f64, wall: f64, 
 
 #[test]
 fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
+    mesh_is_surface(Seams::Off);
+}
+
+#[test]
+fn a_mesh_over_corrected_seams_is_the_surface_within_its_bound() {
+    mesh_is_surface(Seams::All);
+}
+
+fn mesh_is_surface(seams: Seams) {
     let folder = tempfile::tempdir().unwrap();
     let db = folder.path().join("db");
     let path = db.to_str().unwrap();
@@ -162,7 +140,12 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
     let out = folder.path().join("dome.glb");
     let bbox = [562_120.0, 5_115_450.0, 562_900.0, 5_116_350.0];
     let text = bbox.map(|v| v.to_string()).join(",");
-    let told = printed(&["export", path, out.to_str().unwrap(), "--error", "6", "--bbox", &text, "--json"]);
+    let mut args = vec!["export", path, out.to_str().unwrap(), "--error", "6", "--bbox", &text, "--json"];
+    // Seams are corrected unless said otherwise.
+    if seams == Seams::Off {
+        args.extend(["--seams", "off"]);
+    }
+    let told = printed(&args);
     let told: Value = serde_json::from_str(&told).unwrap();
     let mesh = read(&out);
     let extras = &mesh.json["asset"]["extras"];
@@ -170,13 +153,17 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
     assert_eq!(extras["crs"], "EPSG:26910");
     assert_eq!(extras["version"], 3);
     assert_eq!(number(&extras["error_m"]), number(&told["error_m"]));
-    assert!(number(&extras["error_m"]) <= 6.0, "{extras}");
+    assert_eq!(extras["seams"], seams.name());
+    let bent = number(&extras["correction_m"]);
+    assert!((bent > 1.0) == (seams == Seams::All));
+    assert!(number(&extras["error_m"]) <= 6.0 + bent, "{extras}");
+    assert!(number(&extras["surface_error_m"]) >= bent);
     assert_eq!(
         number(&extras["error_m"]),
         number(&extras["surface_error_m"]) + number(&extras["mesh_error_m"])
     );
     // The border is that of the box: a closed line.
-    let border = mesh.border();
+    let border = border_edges(&mesh);
     let area: f64 = mesh
         .triangles
         .iter()
@@ -219,7 +206,7 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         ("patch borders", &borders),
     ] {
         // The surface is taken at the accuracy of the crater, 2 m; the mesh has the other 4 m.
-        let met = compare(&s, &mesh, 2.0, 4.0, 2.0 * 0.02, points);
+        let met = compare(&s, &mesh, (2.0, seams), 4.0, 2.0 * 0.02, points);
         println!(
             "{what}: {} points, worst {:.4} m of 4 m, {} of them at walls (surface passes the mesh within 4 cm)",
             met.points, met.worst, met.at_walls
@@ -228,5 +215,5 @@ fn a_mesh_of_a_region_where_surveys_meet_is_the_surface_within_its_bound() {
         assert!(met.points * 10 > points.len() * 9, "{what}: only {} points compared", met.points);
         assert!(met.at_walls * 200 < met.points, "{what}: {} points at walls", met.at_walls);
     }
-    println!("{} triangles, {border} border edges", mesh.triangles.len());
+    println!("{}: {} triangles, {border} border edges, {}", seams.name(), mesh.triangles.len(), told);
 }

@@ -13,10 +13,20 @@
 //! Layout of the binary chunk: positions, normals, colours if any, indices; little-endian, each part begins
 //! at a multiple of 4 bytes. Indices are 16 bits wide if they fit.
 
+mod compact;
+mod container;
+mod lattice;
+mod squeeze;
+mod tiles;
+
+pub use compact::{Compact, Compacted, write_compact_glb};
+pub use squeeze::meshopt_built;
+
 use std::io::Write;
 
 use serde_json::{Map, Value, json};
 
+use self::container::Sink;
 use crate::base::{Error, Result};
 
 /// What [`write_glb`] writes.
@@ -42,13 +52,6 @@ pub struct GlbMesh<'a> {
     pub extras: Map<String, Value>,
 }
 
-const MAGIC: u32 = 0x4654_6c67; // "glTF"
-const CONTAINER_VERSION: u32 = 2;
-const CHUNK_JSON: u32 = 0x4e4f_534a; // "JSON"
-const CHUNK_BIN: u32 = 0x004e_4942; // "BIN\0"
-const HEADER_BYTES: u64 = 12;
-const CHUNK_HEADER_BYTES: u64 = 8;
-
 const FLOAT: u32 = 5126;
 const UNSIGNED_BYTE: u32 = 5121;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -67,39 +70,11 @@ const BASE_COLOR: [f64; 4] = [0.47, 0.43, 0.34, 1.0];
 /// [`Error::Invalid`] if a number is not finite or an array has the wrong length, [`Error::Limit`] beyond
 /// 4 GiB, [`Error::Io`] from `out`.
 pub fn write_glb(out: &mut dyn Write, mesh: &GlbMesh) -> Result<()> {
-    let count = mesh.positions.len();
-    let invalid = |reason: &str| Err(Error::invalid("GLB mesh", reason));
-    if mesh.normals.len() != count || mesh.colors.is_some_and(|c| c.len() != count) {
-        return invalid("normals and colours must be as many as positions");
-    }
-    let numbers = mesh.positions.iter().flatten().chain(&mesh.origin).chain([&mesh.error_m]);
-    if numbers.clone().any(|v| !v.is_finite()) || mesh.normals.iter().flatten().any(|v| !v.is_finite()) {
-        return invalid("a number is not finite");
-    }
-    if mesh.positions.iter().flatten().any(|v| !(*v as f32).is_finite()) {
-        return invalid("a position does not fit 32 bits; choose an origin in the middle");
-    }
-    if mesh.triangles.iter().flatten().any(|&v| v as usize >= count) {
-        return invalid("an index is out of range");
-    }
-
+    check(mesh)?;
     let layout = Layout::new(mesh);
-    let mut document = document(mesh, &layout).to_string().into_bytes();
-    document.resize(document.len().next_multiple_of(4), b' ');
-    let bin_bytes = layout.bytes;
-    let mut total = HEADER_BYTES + CHUNK_HEADER_BYTES + document.len() as u64;
-    if bin_bytes > 0 {
-        total += CHUNK_HEADER_BYTES + bin_bytes;
-    }
-    if total > u64::from(u32::MAX) {
-        return Err(Error::limit("bytes of a GLB file", u64::from(u32::MAX), total));
-    }
-
-    let mut sink = Sink { out, buffer: Vec::with_capacity(SINK_BYTES + 64) };
-    sink.u32s(&[MAGIC, CONTAINER_VERSION, total as u32, document.len() as u32, CHUNK_JSON])?;
-    sink.bytes(&document)?;
-    if bin_bytes > 0 {
-        sink.u32s(&[bin_bytes as u32, CHUNK_BIN])?;
+    let document = document(mesh, &layout);
+    let mut sink = Sink::begin(out, &document, layout.bytes)?;
+    if layout.bytes > 0 {
         for p in mesh.positions {
             sink.floats(to_gltf(p.map(|v| v as f32)))?;
         }
@@ -121,6 +96,26 @@ pub fn write_glb(out: &mut dyn Write, mesh: &GlbMesh) -> Result<()> {
         }
     }
     sink.flush()
+}
+
+/// Lengths, numbers and indices.
+fn check(mesh: &GlbMesh) -> Result<()> {
+    let count = mesh.positions.len();
+    let invalid = |reason: &str| Err(Error::invalid("GLB mesh", reason));
+    if mesh.normals.len() != count || mesh.colors.is_some_and(|c| c.len() != count) {
+        return invalid("normals and colours must be as many as positions");
+    }
+    let numbers = mesh.positions.iter().flatten().chain(&mesh.origin).chain([&mesh.error_m]);
+    if numbers.clone().any(|v| !v.is_finite()) || mesh.normals.iter().flatten().any(|v| !v.is_finite()) {
+        return invalid("a number is not finite");
+    }
+    if mesh.positions.iter().flatten().any(|v| !(*v as f32).is_finite()) {
+        return invalid("a position does not fit 32 bits; choose an origin in the middle");
+    }
+    if mesh.triangles.iter().flatten().any(|&v| v as usize >= count) {
+        return invalid("an index is out of range");
+    }
+    Ok(())
 }
 
 /// East, north, up to east, up, south; never a negative zero.
@@ -161,14 +156,28 @@ impl Layout {
     }
 }
 
-fn document(mesh: &GlbMesh, layout: &Layout) -> Value {
+/// `asset`: who wrote it, and what is known of the mesh.
+fn asset(mesh: &GlbMesh, error_m: f64) -> Value {
     let mut extras = mesh.extras.clone();
     extras.insert("origin".into(), json!(mesh.origin));
     extras.insert("crs".into(), json!(mesh.crs));
-    extras.insert("error_m".into(), json!(mesh.error_m));
+    extras.insert("error_m".into(), json!(error_m));
     extras.insert("version".into(), json!(mesh.version));
     let generator = concat!("terraquilt ", env!("CARGO_PKG_VERSION"));
-    let mut document = json!({ "asset": { "version": "2.0", "generator": generator, "extras": extras } });
+    json!({ "version": "2.0", "generator": generator, "extras": extras })
+}
+
+/// The one matt material. Colours of vertices are multiplied with it.
+fn materials(mesh: &GlbMesh) -> Value {
+    let base = if mesh.colors.is_some() { [1.0; 4] } else { BASE_COLOR };
+    json!([{
+        "name": "ground",
+        "pbrMetallicRoughness": { "baseColorFactor": base, "metallicFactor": 0.0, "roughnessFactor": 0.95 }
+    }])
+}
+
+fn document(mesh: &GlbMesh, layout: &Layout) -> Value {
+    let mut document = json!({ "asset": asset(mesh, mesh.error_m) });
     if mesh.triangles.is_empty() {
         return document;
     }
@@ -200,7 +209,6 @@ fn document(mesh: &GlbMesh, layout: &Layout) -> Value {
     views.push(view(layout.indices, layout.indices + layout.index_bytes, ELEMENT_ARRAY_BUFFER));
     let width = if layout.narrow { UNSIGNED_SHORT } else { UNSIGNED_INT };
     accessors.push(accessor(indices, width, "SCALAR", mesh.triangles.len() * 3));
-    let base = if mesh.colors.is_some() { [1.0; 4] } else { BASE_COLOR };
     document["scene"] = json!(0);
     document["scenes"] = json!([{ "nodes": [0] }]);
     document["nodes"] = json!([{ "mesh": 0, "name": "terrain" }]);
@@ -208,44 +216,11 @@ fn document(mesh: &GlbMesh, layout: &Layout) -> Value {
         "name": "terrain",
         "primitives": [{ "attributes": attributes, "indices": indices, "material": 0, "mode": TRIANGLES }]
     }]);
-    document["materials"] = json!([{
-        "name": "ground",
-        "pbrMetallicRoughness": { "baseColorFactor": base, "metallicFactor": 0.0, "roughnessFactor": 0.95 }
-    }]);
+    document["materials"] = materials(mesh);
     document["buffers"] = json!([{ "byteLength": layout.bytes }]);
     document["bufferViews"] = Value::Array(views);
     document["accessors"] = Value::Array(accessors);
     document
-}
-
-const SINK_BYTES: usize = 1 << 16;
-
-/// Gathers small writes.
-struct Sink<'a> {
-    out: &'a mut dyn Write,
-    buffer: Vec<u8>,
-}
-
-impl Sink<'_> {
-    fn bytes(&mut self, bytes: &[u8]) -> Result<()> {
-        self.buffer.extend_from_slice(bytes);
-        if self.buffer.len() >= SINK_BYTES { self.drain() } else { Ok(()) }
-    }
-    fn u32s(&mut self, values: &[u32]) -> Result<()> {
-        values.iter().try_for_each(|v| self.bytes(&v.to_le_bytes()))
-    }
-    fn floats(&mut self, values: [f32; 3]) -> Result<()> {
-        values.iter().try_for_each(|v| self.bytes(&v.to_le_bytes()))
-    }
-    fn drain(&mut self) -> Result<()> {
-        self.out.write_all(&self.buffer).map_err(|e| Error::io("GLB", e))?;
-        self.buffer.clear();
-        Ok(())
-    }
-    fn flush(&mut self) -> Result<()> {
-        self.drain()?;
-        self.out.flush().map_err(|e| Error::io("GLB", e))
-    }
 }
 
 #[cfg(test)]

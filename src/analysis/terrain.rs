@@ -1,0 +1,75 @@
+//! One state of the ground, as it is asked.
+
+use crate::base::{Error, Result};
+use crate::db::query::{Query, Tolerance};
+use crate::db::{Snapshot, metres_per_unit};
+use crate::height::crs::AxisUnit;
+use crate::height::lod::SurveyNumber;
+use crate::height::surface::{Evaluation, How};
+
+/// A version (or some of its surveys), how much error is allowed, and how patches are blended.
+#[derive(Clone)]
+pub struct Terrain<'a> {
+    pub snapshot: &'a Snapshot,
+    pub tolerance: Tolerance,
+    pub how: How,
+}
+
+impl<'a> Terrain<'a> {
+    /// The surface that a query means.
+    ///
+    /// # Errors
+    /// If a camera's tolerance meets a database in degrees.
+    pub fn new(snapshot: &'a Snapshot, query: &Query) -> Result<Terrain<'a>> {
+        if let (Tolerance::Camera(_), AxisUnit::Degree) = (&query.tolerance, snapshot.crs().unit) {
+            return Err(Error::unsupported(
+                &snapshot.crs().code,
+                "a camera needs metres, and this database is in degrees",
+                "ask with --error M",
+            ));
+        }
+        Ok(Terrain { snapshot, tolerance: query.tolerance.clone(), how: query.how })
+    }
+
+    pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        self.snapshot.heights(points, &self.tolerance, self.how)
+    }
+
+    /// Heights with gradients, metres per CRS unit.
+    pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
+        self.snapshot.slopes(points, &self.tolerance, self.how)
+    }
+
+    /// Metres of one CRS unit in x and y at a point: a degree is as long as it is there.
+    pub fn scale(&self, at: [f64; 2]) -> [f64; 2] {
+        metres_per_unit(self.snapshot.crs().unit, at)
+    }
+
+    /// Length in metres of a short step.
+    pub fn distance_m(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
+        let k = self.scale([(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0]);
+        ((b[0] - a[0]) * k[0]).hypot((b[1] - a[1]) * k[1])
+    }
+
+    /// The survey with the smallest cells among those whose box meets `bounds`; of equal ones the first.
+    pub fn finest(&self, bounds: [f64; 4]) -> Option<SurveyNumber> {
+        let size = self.snapshot.unit().size();
+        self.snapshot
+            .entries()
+            .filter(|e| {
+                let b = e.geometry.bounds();
+                let (lo, hi) = ([b.min.x, b.min.y], [b.max.x, b.max.y]);
+                (0..2).all(|k| lo[k] as f64 * size <= bounds[k + 2] && hi[k] as f64 * size >= bounds[k])
+            })
+            .min_by(|a, b| {
+                let area = |s: [f64; 2]| s[0] * s[1];
+                area(a.geometry.steps).total_cmp(&area(b.geometry.steps)).then(a.number.cmp(&b.number))
+            })
+            .map(|e| e.number)
+    }
+}
+
+/// The answer where a line or region meets no survey.
+pub(super) fn no_data() -> Error {
+    Error::invalid("region", "holds no data; `terraquilt surveys` shows where the surveys are")
+}

@@ -1,0 +1,96 @@
+//! Pieces of border between a survey and better ones.
+
+use super::{RAMP_SLOPE, REACH_MAX, REACH_MIN, SLOPE, SPREAD, Spans, ramp, square};
+
+/// A piece of border between a survey and better ones.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece {
+    /// Its middle, in cells from the corner of the place it belongs to.
+    pub at: [f64; 2],
+    pub length: f64,
+    /// Half the cell it is a side of.
+    pub ease: f64,
+    /// What the better survey has above this one, metres; NaN where this one has no height, or for a piece of its own
+    /// border inside the better ones: such a piece only counts for distances and for what is shown.
+    pub gap: f64,
+    /// The two surveys differ by more than both state.
+    pub contradicted: bool,
+    pub spans: Spans,
+}
+
+/// The pieces of one place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Border {
+    pub pieces: Vec<Piece>,
+}
+
+/// Pieces of one place, at most: where a border is more ragged, neighbouring pieces become one.
+const PIECES_MAX: usize = 2048;
+/// Pieces shorter than this become one with their neighbours, in cells: nodes carry no finer detail.
+const PIECE_MIN: f64 = 0.125;
+
+impl Border {
+    /// Pieces in a fixed order; those that are much shorter than a cell are joined.
+    pub fn new(mut pieces: Vec<Piece>) -> Border {
+        let mut side = PIECE_MIN;
+        if pieces.iter().any(|p| p.length < PIECE_MIN * 0.999) {
+            pieces = join(&pieces, side);
+        }
+        while pieces.len() > PIECES_MAX && side < 1.0 {
+            side *= 2.0;
+            pieces = join(&pieces, side);
+        }
+        Border { pieces }
+    }
+
+    /// How far each gap is carried, in cells (B of section 15.1): the larger the gaps around, the further, so that no
+    /// slope above [`SLOPE`] is added. `around`: this border and its eight neighbours, each with the place of its corner.
+    pub fn reaches(&self, around: &[([f64; 2], &Border)], metres_per_cell: f64) -> Vec<f64> {
+        let mut near: Vec<([f64; 2], f64)> = Vec::new();
+        for (corner, border) in around {
+            for p in border.pieces.iter().filter(|p| !p.gap.is_nan()) {
+                let at = [corner[0] + p.at[0], corner[1] + p.at[1]];
+                if at.iter().all(|c| (-SPREAD..=REACH_MAX + SPREAD).contains(c)) {
+                    near.push((at, p.gap.abs()));
+                }
+            }
+        }
+        self.pieces
+            .iter()
+            .map(|p| {
+                let most = near.iter().fold(0.0f64, |most, (at, gap)| {
+                    let r2 = square(p.at, *at);
+                    if *gap <= most || r2 >= SPREAD * SPREAD {
+                        return most;
+                    }
+                    most.max(gap * (1.0 - ramp(r2.sqrt() / SPREAD)))
+                });
+                (RAMP_SLOPE / SLOPE * most / metres_per_cell).clamp(REACH_MIN, REACH_MAX)
+            })
+            .collect()
+    }
+}
+
+/// Joins the pieces within squares of a side: lengths add, gaps and places are means by length.
+fn join(pieces: &[Piece], side: f64) -> Vec<Piece> {
+    let mut squares: std::collections::BTreeMap<_, Piece> = Default::default();
+    for p in pieces {
+        let bits: Vec<[u32; 2]> = p.spans.iter().map(|s| s.map(f32::to_bits)).collect();
+        let key = (p.at.map(|c| (c / side).floor() as i32), p.gap.is_nan(), bits);
+        match squares.entry(key) {
+            std::collections::btree_map::Entry::Vacant(e) => {
+                e.insert(Piece { ease: p.ease.max(side / 2.0), ..p.clone() });
+            }
+            std::collections::btree_map::Entry::Occupied(mut e) => {
+                let q = e.get_mut();
+                let t = p.length / (q.length + p.length);
+                q.at = [0, 1].map(|k| q.at[k] + (p.at[k] - q.at[k]) * t);
+                q.gap += (p.gap - q.gap) * t;
+                q.length += p.length;
+                q.ease = q.ease.max(p.ease);
+                q.contradicted |= p.contradicted;
+            }
+        }
+    }
+    squares.into_values().collect()
+}
