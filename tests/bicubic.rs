@@ -4,7 +4,7 @@
 use crate::certified::continuity::fade;
 use crate::certified::reference::{Spot, World};
 use crate::certified::worlds::{self, Ask, asks};
-use crate::certified::{heights, random_worlds_of, scatter};
+use crate::certified::{heights, inside, random_worlds_of, scatter};
 use crate::derivation::judge;
 use crate::golden;
 use crate::oracle::KERNEL;
@@ -234,6 +234,40 @@ fn curvature_inside_one_patch_is_that_of_its_spline() {
     println!("{alone} points in one patch, {blended} blended: worst {worst:.1e} m per squared cell");
     // A mixed difference of a bicubic has an error of h^2 times its third derivatives.
     assert!(alone > 200 && blended > 200 && worst < 0.05, "{alone} {blended} {worst}");
+}
+
+#[test]
+fn curvature_is_the_derivative_of_the_slope_also_where_a_camera_fades_patches() {
+    let world = helens(Kind::Bicubic, Policy::Newest);
+    let mut r = Random::new(seeds(1)[0] + 65_000);
+    for ask in asks(&world).into_iter().skip(5).chain([Ask::Metres(3.0)]) {
+        let ground = world.snapshot.surface(&ask.query(None)).unwrap();
+        let mut points: Vec<[f64; 2]> =
+            (0..4000).filter_map(|_| fade(&world, &mut r, &ask, &[1.03, 1.05, 1.08])).map(|f| f.0).collect();
+        points.extend((0..3).flat_map(|k| world.points(&mut r, k, 200)));
+        points.retain(|p| inside(&ground.selection.region.polygon, *p));
+        points.truncate(800);
+        let h = 2e-3;
+        let slopes = |dx: f64, dy: f64| {
+            let moved: Vec<[f64; 2]> = points.iter().map(|p| [p[0] + dx, p[1] + dy]).collect();
+            ground.slopes(&moved).unwrap()
+        };
+        let sides = [[slopes(-h, 0.0), slopes(h, 0.0)], [slopes(0.0, -h), slopes(0.0, h)]];
+        let mut off = Vec::new();
+        for (n, e) in ground.curvatures(&points).unwrap().iter().enumerate() {
+            let Some((_, hessian)) = e else { continue };
+            for (axis, [before, after]) in sides.iter().enumerate() {
+                let (Some(a), Some(b)) = (&before[n], &after[n]) else { continue };
+                for k in 0..2 {
+                    let truth = (b.gradient[k] - a.gradient[k]) / (2.0 * h);
+                    off.push([(hessian[axis + k] - truth).abs() / (0.01 + truth.abs())]);
+                }
+            }
+        }
+        let [p50, p95] = [0.5, 0.95].map(|q| quantile(&off, q)[0]);
+        println!("{ask:?}: {} second derivatives, {p50:.1e} off in the median, 95 % by {p95:.1e}", off.len());
+        assert!(off.len() > 800 && p50 < 1e-4 && p95 < 0.02, "{ask:?}: {p50} {p95}");
+    }
 }
 
 /// Points and the directions across: on borders of kernels and domains (of all levels), of core' (of surveys), and where

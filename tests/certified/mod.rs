@@ -62,7 +62,7 @@ pub fn scatter(world: &World, r: &mut Random, inside: usize, anywhere: usize) ->
 }
 
 /// Whether a counter-clockwise polygon holds a point with room to spare.
-fn inside(polygon: &[[f64; 2]], p: [f64; 2]) -> bool {
+pub fn inside(polygon: &[[f64; 2]], p: [f64; 2]) -> bool {
     polygon.len() > 2
         && (0..polygon.len()).all(|k| {
             let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);

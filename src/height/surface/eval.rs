@@ -258,7 +258,7 @@ impl Sheet<'_> {
                 "make a database with `terraquilt init DB --patch bicubic` and ingest the surveys there",
             ));
         }
-        self.each(points, |s, p| Ok(self.evaluate::<Jet>(p, s, None)?.map(|(e, f)| (e, f.hessian()))))
+        self.each(points, |s, p| self.evaluate::<Jet>(p, s, None))
     }
 
     /// A height and who contributed to it: patch number and normalised weight, largest first.
@@ -326,13 +326,13 @@ impl Sheet<'_> {
         }
     }
 
-    /// What the surface is at a point, and its height (above the first patch's) with the derivatives that `T` carries.
+    /// What the surface is at a point, and its second derivatives (0 where `T` does not carry them).
     fn evaluate<T: Real>(
         &self,
         point: [f64; 2],
         s: &mut Scratch,
         mut who: Option<&mut Vec<(usize, f64)>>,
-    ) -> Result<Option<(Evaluation, T)>> {
+    ) -> Result<Option<(Evaluation, Hessian)>> {
         let surface = self.surface;
         let p = [point[0] - surface.origin[0], point[1] - surface.origin[1]];
         let near = surface.index.at(p);
@@ -434,24 +434,26 @@ impl Sheet<'_> {
                 best = best.min(survey.accuracy);
             }
         }
-        let (mut z, mut f, mut correction_m) = (zero + f.value(), f, 0.0);
+        let (mut z, mut correction_m) = (zero + f.value(), 0.0);
+        let (mut gradient, mut hessian) = (f.gradient(), f.hessian());
         if surface.corrected {
             let c = seams.sum / weights;
             let plain = z;
             z += c.value();
             correction_m = z - plain;
-            f = f + c;
+            gradient = [0, 1].map(|k| gradient[k] + c.gradient()[k]);
+            hessian = [0, 1, 2].map(|k| hessian[k] + c.hessian()[k]);
         }
         let evaluation = Evaluation {
             z,
-            gradient: f.gradient(),
+            gradient,
             error_m: error,
             accuracy_m: f64::from(if certified { best } else { accuracy }),
             certified,
             correction_m,
             contradiction,
         };
-        Ok(Some((evaluation, f)))
+        Ok(Some((evaluation, hessian)))
     }
 
     /// The correction of a survey at a point of its index space.
