@@ -428,7 +428,9 @@ fn the_program_says_what_was_bent() {
     assert!(number(&all, "correction_m") > 5.0 && all["contradiction"] == true, "{all}");
     assert!((0.1..=2.5).contains(&number(&held, "correction_m")), "{held}");
     for bent in [&all, &held] {
-        assert_eq!(number(bent, "z") - number(bent, "correction_m"), number(&plain, "z"));
+        // Numbers read back from text may differ in the last bit.
+        let back = number(bent, "z") - number(bent, "correction_m");
+        assert!((back - number(&plain, "z")).abs() < 1e-11, "{bent} {plain}");
         assert!(number(bent, "error_m") >= number(&plain, "error_m") + number(bent, "correction_m"));
     }
     // Pictures are corrected unless said otherwise, heights for analysis are not.
