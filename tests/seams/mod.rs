@@ -159,6 +159,13 @@ fn what_seams_add_is_told_and_taken_away_again() {
         points.len()
     );
     assert!(moved > 3000 && most > 10.0);
+    // From a region of its own, each point is bent alike.
+    let all = heights(&w, &Ask::Metres(5.0), Seams::All, &points);
+    for (p, e) in points.iter().zip(&all).step_by(97) {
+        let alone = heights(&w, &Ask::Metres(5.0), Seams::All, &[*p]).remove(0);
+        let apart = (alone.as_ref().map_or(0.0, |a| a.z) - e.as_ref().map_or(0.0, |e| e.z)).abs();
+        assert!(apart <= 1e-9 * w.range() && alone.is_some() == e.is_some(), "{p:?}: {alone:?} {e:?}");
+    }
 }
 
 #[test]
