@@ -305,7 +305,7 @@ impl Snapshot {
                 unit: self.unit,
                 axis: self.crs.unit,
                 consistent: how.seams == Seams::Consistent,
-                smooth: false,
+                smooth: self.kind() == Kind::Bicubic,
             },
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),

@@ -159,6 +159,13 @@ fn what_seams_add_is_told_and_taken_away_again() {
         points.len()
     );
     assert!(moved > 3000 && most > 10.0);
+    // From a region of its own, each point is bent alike.
+    let all = heights(&w, &Ask::Metres(5.0), Seams::All, &points);
+    for (p, e) in points.iter().zip(&all).step_by(97) {
+        let alone = heights(&w, &Ask::Metres(5.0), Seams::All, &[*p]).remove(0);
+        let apart = (alone.as_ref().map_or(0.0, |a| a.z) - e.as_ref().map_or(0.0, |e| e.z)).abs();
+        assert!(apart <= 1e-9 * w.range() && alone.is_some() == e.is_some(), "{p:?}: {alone:?} {e:?}");
+    }
 }
 
 #[test]
@@ -428,7 +435,9 @@ fn the_program_says_what_was_bent() {
     assert!(number(&all, "correction_m") > 5.0 && all["contradiction"] == true, "{all}");
     assert!((0.1..=2.5).contains(&number(&held, "correction_m")), "{held}");
     for bent in [&all, &held] {
-        assert_eq!(number(bent, "z") - number(bent, "correction_m"), number(&plain, "z"));
+        // Numbers read back from text may differ in the last bit.
+        let back = number(bent, "z") - number(bent, "correction_m");
+        assert!((back - number(&plain, "z")).abs() < 1e-11, "{bent} {plain}");
         assert!(number(bent, "error_m") >= number(&plain, "error_m") + number(bent, "correction_m"));
     }
     // Pictures are corrected unless said otherwise, heights for analysis are not.

@@ -1,6 +1,7 @@
 //! Evaluating the surface: which patches reach a point, their weights, their blend.
 
 use super::buckets::Buckets;
+use super::bent::{Corrections, MetField};
 use super::seam::Field;
 use super::{Dual, Hood, Jet, KAPPA, Real, outside};
 use crate::base::lattice::Point;
@@ -120,7 +121,7 @@ pub type Hessian = [f64; 3];
 pub struct Surface {
     /// What lies between vertices; weights and fades are as smooth.
     pub kind: Kind,
-    origin: [f64; 2],
+    pub(super) origin: [f64; 2],
     pub surveys: Vec<SurveyField>,
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
@@ -161,7 +162,7 @@ impl SurveyField {
 
     /// Index coordinates of a point given relative to the local origin.
     #[inline]
-    fn index<T: Real>(&self, p: [f64; 2]) -> [T; 2] {
+    pub(super) fn index<T: Real>(&self, p: [f64; 2]) -> [T; 2] {
         [0, 1].map(|k| {
             let v = self.origin[k] + (self.by_x[k] * p[0] + self.by_y[k] * p[1]);
             T::with_gradient(v, self.by_x[k], self.by_y[k])
@@ -218,13 +219,11 @@ pub(super) struct Scratch {
     /// Weights and errors of the contributors at the point, and whether contradicting surveys bent them.
     shares: Vec<(f64, f64, bool)>,
     /// Per survey: the block of its correction met last.
-    seams: Vec<Option<MetField>>,
+    pub(super) seams: Vec<Option<MetField>>,
 }
 
 /// Indices of a level-0 block, and its cells.
 type MetHood = ((i32, i32), Arc<Hood>);
-/// Indices of a level-0 block, and the correction there.
-type MetField = ((i32, i32), Arc<Field>);
 
 /// An evaluation, and who contributed: patch number and weight.
 pub type Explained = (Evaluation, Vec<(usize, f64)>);
@@ -235,7 +234,7 @@ const SHARE_MIN: f64 = 1e-12;
 /// Patches that a thread keeps at hand.
 const LATELY: usize = 64;
 /// Surveys whose state at a point needs no allocation.
-const FEW: usize = 8;
+pub(super) const FEW: usize = 8;
 
 impl Sheet<'_> {
     /// Heights at points (CRS units), in order; `None` where there is no data.
@@ -271,16 +270,6 @@ impl Sheet<'_> {
         who.iter_mut().for_each(|(_, w)| *w /= sum);
         who.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         Ok(Some((e, who)))
-    }
-
-    /// The correction of a survey of the surface at a point, metres: what is added to each of its patches there.
-    pub fn correction_of(&self, survey: usize, p: [f64; 2]) -> Result<f64> {
-        if !self.surface.corrected {
-            return Ok(0.0);
-        }
-        let local = [0, 1].map(|k| p[k] - self.surface.origin[k]);
-        let index: [f64; 2] = self.surface.surveys[survey].index(local);
-        Ok(self.correction(survey, index, self.cut.at(p), &mut Scratch::default())?.0)
     }
 
     fn each<E>(
@@ -456,20 +445,6 @@ impl Sheet<'_> {
         Ok(Some((evaluation, hessian)))
     }
 
-    /// The correction of a survey at a point of its index space.
-    fn correction<T: Real>(&self, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<Bent<T>> {
-        let block = index.map(|c| (c.value() / KERNEL as f64).floor());
-        let key = (block[0] as i32, block[1] as i32);
-        s.seams.resize(self.surface.surveys.len(), None);
-        let slot = &mut s.seams[survey];
-        let field = match slot {
-            Some((k, f)) if *k == key => &*f,
-            _ => &slot.insert((key, self.source.seam(survey, key.0, key.1)?)).1,
-        };
-        let [x, y] = [0, 1].map(|k| index[k] - T::constant(block[k] * KERNEL as f64));
-        Ok(field.at(x, y, z, |t: T| t.ramp(self.surface.kind)))
-    }
-
     /// up' dn: how much of a patch is there at a tolerance.
     fn level<T: Real>(
         &self,
@@ -511,32 +486,5 @@ impl Sheet<'_> {
             up = up + (one - up) * mask;
         }
         Ok(up * down)
-    }
-}
-
-/// A correction, and whether contradicting surveys made it.
-type Bent<T> = (T, bool);
-
-/// The corrections at one point: by survey, and their weighted sum.
-struct Corrections<T> {
-    few: [Option<Bent<T>>; FEW],
-    many: Vec<Option<Bent<T>>>,
-    sum: T,
-}
-
-impl<T: Real> Corrections<T> {
-    fn new(surface: &Surface) -> Corrections<T> {
-        let n = surface.surveys.len();
-        let many = if surface.corrected && n > FEW { vec![None; n] } else { Vec::new() };
-        Corrections { few: [None; FEW], many, sum: T::constant(0.0) }
-    }
-
-    /// The correction of a survey that contributes.
-    fn of(&mut self, sheet: &Sheet, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<Bent<T>> {
-        let slot = if self.many.is_empty() { &mut self.few[survey] } else { &mut self.many[survey] };
-        match slot {
-            Some(c) => Ok(*c),
-            None => Ok(*slot.insert(sheet.correction(survey, index, z, s)?)),
-        }
     }
 }

@@ -17,6 +17,7 @@
 //! Where a cell of core' holds p, every contributor has `bot <= max(tolerance, best)`: theorem T7.
 //! Where surveys disagree, a correction per survey may be added to its patches (section 15): [`seam`].
 
+mod bent;
 mod buckets;
 mod eval;
 mod hood;

@@ -51,6 +51,8 @@ impl Border {
     /// How far each gap is carried, in cells (B of section 15.1): the larger the gaps around, the further, so that no
     /// slope above [`SLOPE`] is added. `around`: this border and its eight neighbours, each with the place of its corner.
     pub fn reaches(&self, around: &[([f64; 2], &Border)], metres_per_cell: f64) -> Vec<f64> {
+        // At a pole a cell of degrees has no width.
+        let metres_per_cell = metres_per_cell.max(1e-9);
         let mut near: Vec<([f64; 2], f64)> = Vec::new();
         for (corner, border) in around {
             for p in border.pieces.iter().filter(|p| !p.gap.is_nan()) {
