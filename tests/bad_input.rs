@@ -277,15 +277,16 @@ fn what_a_file_does_not_say_is_asked_for() {
     let plain = room.picture("plain.tif", Picture { east: 100.0, ..Picture::default() });
     let nowhere = room.picture("nowhere.tif", Picture { placed: false, ..Picture::default() });
     let no_crs = room.picture("nocrs.tif", Picture { epsg: None, ..Picture::default() });
-    let other = room.picture("other.tif", Picture { epsg: Some(32611), ..Picture::default() });
+    let other = room.picture("other.tif", Picture { epsg: Some(26710), ..Picture::default() });
     let small = room.picture("small.tif", Picture { side: 3, ..Picture::default() });
     for (args, words) in [
         (vec![&nowhere[..], "--accuracy", "1"], vec!["nowhere.tif", "georeference", "gdal_translate"]),
         (vec![&no_crs, "--accuracy", "1"], vec!["nocrs.tif", "--crs EPSG:32610"]),
-        (vec![&other, "--accuracy", "1"], vec!["other.tif", "EPSG:32611", "EPSG:32610", "gdalwarp"]),
+        (vec![&other, "--accuracy", "1"], vec!["EPSG:26710", "EPSG:32610", "datum"]),
+        (vec![&other, "--accuracy", "1", "--datum-shift", "1,2"], vec!["datum shift", "1,2"]),
         (vec![&plain, "--accuracy", "1", "--crs", "EPSG:99999"], vec!["EPSG:99999"]),
         (vec![&plain, "--accuracy", "1", "--crs", "WGS84"], vec!["WGS84", "EPSG:n"]),
-        (vec![&plain, "--accuracy", "1", "--crs", "EPSG:32611"], vec!["EPSG:32611", "gdalwarp"]),
+        (vec![&plain, "--accuracy", "1", "--crs", "EPSG:26711"], vec!["EPSG:26711", "datum"]),
         (vec![&plain], vec!["plain.tif", "--accuracy"]),
         (vec![&plain, "--accuracy", "-1"], vec!["--accuracy", "-1"]),
         (vec![&plain, "--accuracy", "nan"], vec!["--accuracy"]),
@@ -370,7 +371,6 @@ fn bad_text_files_and_questions_are_refused() {
         (vec!["init", db, "--crs", "EPSG:32610"], vec!["database already"]),
         (vec!["init", &room.text_path("hill.tif"), "--crs", "EPSG:32610"], vec!["hill.tif"]),
         (vec!["init", &room.text_path("new"), "--crs", "EPSG:1"], vec!["EPSG:1"]),
-        (vec!["init", &room.text_path("new")], vec!["--crs"]),
         (vec!["init", room.folder.path().to_str().unwrap(), "--crs", "EPSG:32610"], vec!["not empty"]),
     ] {
         room.complaint(&args, &words);
@@ -495,7 +495,7 @@ fn meddle(db: &str, sql: &str) {
 #[test]
 fn a_database_of_a_newer_program_is_refused_not_guessed_at() {
     for (sql, words) in [
-        ("UPDATE constant SET value = '2' WHERE name = 'format_version'", ["format 2", "newer terraquilt"]),
+        ("UPDATE constant SET value = '3' WHERE name = 'format_version'", ["format 3", "newer terraquilt"]),
         ("UPDATE constant SET value = '9' WHERE name = 'margin'", ["margin", "newer terraquilt"]),
         (
             "INSERT INTO refinery_schema_history VALUES (99, 'later', '2030-01-01T00:00:00Z', '1')",
