@@ -3,7 +3,7 @@
 use crate::oracle::{self, OracleSurvey, PatchBox};
 use crate::support::{Grid, Random, Scratch, bundled, printed, random_grid, seeds};
 use std::collections::BTreeMap;
-use terraquilt::db::{Change, Policy, TreeNode, boxes, surveys};
+use terraquilt::db::{Change, Db, Policy, Snapshot, TreeNode, boxes, own_posts, surveys};
 use terraquilt::height::patch::Kind;
 use terraquilt::height::source::Window;
 
@@ -36,6 +36,36 @@ pub fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Co
         .iter()
         .map(|r| oracle_survey(r, &present[r["name"].as_str().unwrap()]))
         .collect();
+    judge_surveys(&s.db, &worlds)
+}
+
+/// The surveys of a database as the oracle takes them, by the posts that they have there: also of resampled ones.
+pub fn stored_surveys(snapshot: &Snapshot) -> Vec<OracleSurvey> {
+    let rows = surveys(snapshot).unwrap();
+    rows.iter()
+        .zip(snapshot.entries())
+        .map(|(r, e)| {
+            let posts = own_posts(snapshot, e.number).unwrap();
+            OracleSurvey {
+                id: r.id.clone(),
+                anchor: r.frame[0],
+                u: r.frame[1],
+                v: r.frame[2],
+                first: posts.first,
+                cols: posts.cols,
+                rows: posts.rows,
+                heights: posts.z.iter().map(|z| z.is_finite().then_some(*z)).collect(),
+                nominal_step: r.step,
+                accuracy: r.accuracy_m,
+                precedence: r.precedence,
+            }
+        })
+        .collect()
+}
+
+/// The same for surveys of any kind.
+pub fn judge_surveys(db: &Db, worlds: &[OracleSurvey]) -> oracle::check::Counts {
+    let snapshot = db.snapshot(None).unwrap();
     let mut text = String::new();
     boxes(&snapshot, |b| {
         text.push_str(&serde_json::to_string(&b).unwrap());
@@ -44,9 +74,9 @@ pub fn judge(s: &Scratch, present: &BTreeMap<String, Grid>) -> oracle::check::Co
     })
     .unwrap();
     let found: Vec<PatchBox> = oracle::parse_boxes(&text).unwrap();
-    let report = match s.db.kind() {
-        Kind::Bilinear => oracle::check(&worlds, &found),
-        Kind::Bicubic => oracle::check_splines(&worlds, &found),
+    let report = match db.kind() {
+        Kind::Bilinear => oracle::check(worlds, &found),
+        Kind::Bicubic => oracle::check_splines(worlds, &found),
     };
     assert!(report.problems.is_empty(), "{:#?}", report.problems);
     let expected = oracle::expected_tree(&found, ([-(1 << 60); 2], [1 << 60; 2]), 64, 32);

@@ -1,9 +1,11 @@
 //! Must show 1: any order of arrival, removal and return gives one fingerprint, computed from the bytes on disk by a new
 //! process; a grid whole equals the grid in tiles.
 
+use crate::derivation::{judge_surveys, stored_surveys};
 use crate::support::{Random, bundled, printed, seeds, shared};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use terraquilt::db::{Db, fingerprint};
 
 /// A survey as the command line brings it.
 #[derive(Clone)]
@@ -104,5 +106,38 @@ fn the_kit_in_twenty_orders_has_one_fingerprint() {
     let Some(surveys) = kit() else { return };
     for m in MANNERS {
         one_fingerprint("EPSG:32611", m, &surveys, 20);
+    }
+}
+
+/// Must-shows of the core on the whole kit: the oracle node by node, verify, certified errors and no gap, for both policies
+/// and both kinds of patches. `cargo test --release --test main the_whole_kit_equals -- --ignored --nocapture`
+#[test]
+#[ignore = "minutes; the command is in its comment"]
+fn the_whole_kit_equals_the_oracle_and_keeps_its_errors() {
+    let Some(surveys) = kit() else { return };
+    for [policy, patch] in MANNERS {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("db");
+        let db = path.to_str().unwrap();
+        printed(&["init", db, "--crs", "EPSG:32611", "--policy", policy, "--patch", patch]);
+        for s in &surveys {
+            let file = s.file.to_str().unwrap();
+            printed(&["ingest", db, file, "--name", &s.name, "--accuracy", &s.accuracy, "--date", &s.date]);
+        }
+        printed(&["verify", db]);
+        let db = Db::open(&path).unwrap();
+        let posts = stored_surveys(&db.snapshot(None).unwrap());
+        let counts = judge_surveys(&db, &posts);
+        println!("{policy} {patch}: {counts:?}");
+        crate::certified::whole_kit(db.snapshot(None).unwrap(), posts);
+        // A survey goes, the rest is as if it had never come, and comes again.
+        let print = || fingerprint(&db.snapshot(None).unwrap()).unwrap();
+        let (before, name) = (print(), &surveys[5].name);
+        printed(&["remove", path.to_str().unwrap(), name]);
+        assert_ne!(print(), before);
+        let (s, at) = (&surveys[5], path.to_str().unwrap());
+        let file = s.file.to_str().unwrap();
+        printed(&["ingest", at, file, "--name", &s.name, "--accuracy", &s.accuracy, "--date", &s.date]);
+        assert_eq!(print(), before);
     }
 }

@@ -2,10 +2,12 @@
 
 use super::database::Snapshot;
 use super::head::{Declaration, Tile};
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, limits};
 use crate::height::block::{BLOCK, decode};
+use crate::height::frame::CellRect;
 use crate::height::lod::SurveyNumber;
 use crate::store::segment::{Pages, file_name};
+use crate::store::table::PAGE_BLOCKS;
 
 /// A delivered tile: read row band by row band.
 pub struct RawTile<'a> {
@@ -18,6 +20,44 @@ pub struct RawTile<'a> {
 pub fn read_tile(snapshot: &Snapshot, survey: SurveyNumber, index: usize) -> Result<RawTile<'_>> {
     let head = snapshot.head(survey)?;
     Ok(RawTile { snapshot, declaration: head.declaration.clone(), tile: head.tiles[index].clone() })
+}
+
+/// A survey's own posts: those of its files, or, where they were delivered in another system, what was resampled from them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnPosts {
+    /// Index of the first post; the last lies `cols - 1`, `rows - 1` further.
+    pub first: [i64; 2],
+    pub cols: usize,
+    pub rows: usize,
+    /// Heights in metres, row by row; voids are NaN.
+    pub z: Vec<f64>,
+}
+
+/// Reads all posts of a survey at once.
+///
+/// # Errors
+/// [`Error::Limit`] above [`limits::WINDOW_POSTS_MAX`] posts.
+pub fn own_posts(snapshot: &Snapshot, survey: SurveyNumber) -> Result<OwnPosts> {
+    let head = snapshot.head(survey)?;
+    let mut rect = head.posts();
+    if head.declaration.resampled.is_some() {
+        rect = CellRect::new(0, 0, 0, 0);
+        snapshot.view.each_patch_page(survey, |at, page| {
+            let side = i64::from(PAGE_BLOCKS);
+            for (k, _) in page.blocks.iter().enumerate().filter(|(_, b)| at.level == 0 && b.is_some()) {
+                let (i, j) =
+                    (i64::from(at.i) * side + k as i64 % side, i64::from(at.j) * side + k as i64 / side);
+                rect = rect.union(&CellRect::new(i * BLOCK, j * BLOCK, (i + 1) * BLOCK, (j + 1) * BLOCK));
+            }
+            Ok(())
+        })?;
+    }
+    let count = rect.width() as u64 * rect.height() as u64;
+    if count > limits::WINDOW_POSTS_MAX {
+        return Err(Error::limit("posts of a survey read at once", limits::WINDOW_POSTS_MAX, count));
+    }
+    let z = snapshot.view.with_samples(survey, |r| r.posts(&rect))?;
+    Ok(OwnPosts { first: [rect.i0, rect.j0], cols: rect.width() as usize, rows: rect.height() as usize, z })
 }
 
 impl RawTile<'_> {

@@ -50,7 +50,7 @@ pub use check::{Report, verify};
 pub use compact::CompactOutcome;
 pub use contradictions::{Contradiction, Overlap};
 pub use database::{Db, Options, Policy, Snapshot};
-pub use export::{RawTile, read_tile};
+pub use export::{OwnPosts, RawTile, own_posts, read_tile};
 pub use fingerprint::fingerprint;
 pub use head::{Declaration, Delivered, Head, Resampled, Tile};
 pub use listing::{BoxRow, Info, SurveyRow, TreeNode, boxes, info, surveys, tree};

@@ -139,6 +139,13 @@ fn certify_world(world: &World, r: &mut Random, count: usize, posts_at: &[f64], 
     }
 }
 
+/// What is certified of a kit: random points, every post at two tolerances.
+pub fn certify_kit(world: &World, r: &mut Random, count: usize) {
+    let mut total = Figures::default();
+    certify_world(world, r, count, &[5.0, 20.0], &mut total);
+    report(&total);
+}
+
 fn report(total: &Figures) {
     println!(
         "{} points, {} heights, {} points near a border, {} explained, {} bent; largest error / max(delta, best) {:.6}",

@@ -71,6 +71,21 @@ pub fn inside(polygon: &[[f64; 2]], p: [f64; 2]) -> bool {
         })
 }
 
+/// Errors certified, also with seams corrected, and no point of D_K without a height, over surveys of any kind.
+pub fn whole_kit(snapshot: terraquilt::db::Snapshot, posts: Vec<crate::oracle::OracleSurvey>) {
+    let world = World::of_posts(snapshot, posts, false);
+    let mut r = Random::new(seeds(1)[0]);
+    errors::certify_kit(&world, &mut r, 60_000);
+    let points: Vec<[f64; 2]> =
+        (0..world.surveys.len()).flat_map(|k| world.points(&mut r, k, 3000)).collect();
+    for ask in every_tolerance(&world) {
+        for (p, e) in points.iter().zip(heights(&world, &ask, &points)) {
+            let e = e.unwrap_or_else(|| panic!("{ask:?}: a gap at {p:?}"));
+            assert!(e.certified || !world.best(*p).1, "{ask:?} {p:?}: {e:?}");
+        }
+    }
+}
+
 /// Every tolerance that could leave a gap.
 fn every_tolerance(world: &World) -> Vec<Ask> {
     [0.5, 1e6, f64::MAX].into_iter().map(Ask::Metres).chain(asks(world)).collect()

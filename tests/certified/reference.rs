@@ -200,7 +200,6 @@ impl World {
     /// kernels along borders.
     pub fn new(snapshot: Snapshot, grids: &[Grid], exact: bool) -> World {
         let rows = surveys(&snapshot).unwrap();
-        let smooth = snapshot.kind() == Kind::Bicubic;
         let posts: Vec<OracleSurvey> = rows
             .iter()
             .map(|r| {
@@ -220,6 +219,13 @@ impl World {
                 }
             })
             .collect();
+        World::of_posts(snapshot, posts, exact)
+    }
+
+    /// The same from posts as the oracle takes them.
+    pub fn of_posts(snapshot: Snapshot, posts: Vec<OracleSurvey>, exact: bool) -> World {
+        let rows = surveys(&snapshot).unwrap();
+        let smooth = snapshot.kind() == Kind::Bicubic;
         let cores: Vec<Cells> = posts.iter().map(core).collect();
         let mut printed: Vec<BoxRow> = Vec::new();
         boxes(&snapshot, |b| {

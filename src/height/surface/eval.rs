@@ -1,7 +1,7 @@
 //! Evaluating the surface: which patches reach a point, their weights, their blend.
 
-use super::buckets::Buckets;
 use super::bent::{Corrections, MetField};
+use super::buckets::Buckets;
 use super::seam::Field;
 use super::{Dual, Hood, Jet, KAPPA, Real, outside};
 use crate::base::lattice::Point;
