@@ -20,6 +20,8 @@ mod crash;
 mod crs;
 /// The database against the oracle and against fresh builds, over random worlds and histories.
 mod derivation;
+/// Surveys where systems end, and what makes one survey of several files.
+mod edges;
 /// Formats in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
 /// Meshes as GLB: within the bound, manifold, exact border.

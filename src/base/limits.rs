@@ -19,6 +19,8 @@ pub const ARCHIVE_MEMBERS_MAX: u64 = 10_000;
 pub const ARCHIVE_MEMBER_BYTES_MAX: u64 = 512 << 20;
 /// Posts of one geoid grid: a global grid of one minute of arc has 233 million.
 pub const GEOID_POSTS_MAX: u64 = 250_000_000;
+/// Metres above or below the datum that a height may be.
+pub const HEIGHT_M_MAX: f64 = 1e6;
 /// Bytes of a text field (name, CRS) in a declaration.
 pub const TEXT_BYTES_MAX: usize = 4096;
 /// Posts (cells) of one exported raster.

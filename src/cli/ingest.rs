@@ -325,7 +325,9 @@ pub struct IngestFiles {
 impl IngestFiles {
     pub fn run(self) -> Result<bool> {
         let mut request = self.said.request(&self.files)?;
-        let db = match Awaiting::read(&self.db)? {
+        let awaited = Awaiting::read(&self.db)?;
+        let first = awaited.is_some();
+        let db = match awaited {
             None => Db::open(&self.db)?,
             Some(awaiting) => {
                 let files: Vec<_> = request.sources.iter().map(|s| s.info()).collect();
@@ -334,13 +336,17 @@ impl IngestFiles {
                     message(&format!("the database would be made in {}; nothing was changed", crs.code));
                     return Ok(true);
                 }
-                message(&format!("the database is now in {}", crs.code));
+                message(&format!("the first survey puts the database in {}", crs.code));
                 awaiting.settle(crs)?
             }
         };
         request.name = self.name.clone();
         request.into = self.into.clone();
-        self.said.carry_out(&db, Change::Ingest(request))
+        let done = self.said.carry_out(&db, Change::Ingest(request));
+        if first && done.is_err() {
+            Awaiting::wait_again(&db)?;
+        }
+        done
     }
 }
 

@@ -129,7 +129,7 @@ impl Writing {
         }
         let survey = entry.as_ref().map_or_else(|| SurveyNumber(self.counters.survey + 1), |e| e.number);
         let mut kept: Vec<Tile> = before.as_ref().map_or(Vec::new(), |h| h.tiles.clone());
-        let mut dirty = CellRect::new(0, 0, 0, 0);
+        let mut dirty: Vec<CellRect> = Vec::new();
         if replace {
             let (leave, stay) = covered_tiles(&kept, &tiles)?;
             if leave.iter().map(|t| t.key).collect::<BTreeSet<_>>() == tiles.iter().map(|t| t.key).collect() {
@@ -137,7 +137,7 @@ impl Writing {
                 return self.nothing(e, posts, voids, warnings);
             }
             for t in &leave {
-                dirty = dirty.union(&t.posts);
+                dirty.push(t.posts);
                 dead.extend(self.tile_pages(t)?);
             }
             kept = stay;
@@ -154,7 +154,7 @@ impl Writing {
                         ));
                     }
                 }
-                dirty = dirty.union(&t.posts);
+                dirty.push(t.posts);
                 kept.push(t);
             } else {
                 dead.extend(pages_in(&segment, &t)?);

@@ -35,10 +35,7 @@ impl Awaiting {
             return Err(Error::invalid(root.display(), "is not empty; give a new directory"));
         }
         std::fs::create_dir_all(root).map_err(|e| Error::io(root, e))?;
-        let file = root.join(AWAITING);
-        let text = format!("policy {}\npatch {}\n", policy.name(), patch.name());
-        std::fs::write(&file, text).map_err(|e| Error::io(&file, e))?;
-        sync_directory(root)?;
+        put(root, policy, patch)?;
         Ok(Awaiting { root: root.to_path_buf(), policy, patch })
     }
 
@@ -122,4 +119,25 @@ impl Awaiting {
         std::fs::remove_file(&file).map_err(|e| Error::io(&file, e))?;
         Ok(db)
     }
+
+    /// Waits again, if the first survey did not come: a system that it chose would bind the next one.
+    pub fn wait_again(db: &Db) -> Result<()> {
+        let writing = db.begin(&mut || ())?;
+        if writing.counters.version > 0 {
+            return Ok(());
+        }
+        let root = db.path();
+        put(root, db.policy(), db.kind())?;
+        for name in ["catalog.sqlite", "catalog.sqlite-wal", "catalog.sqlite-shm"] {
+            let _ = std::fs::remove_file(root.join(name));
+        }
+        sync_directory(root)
+    }
+}
+
+fn put(root: &Path, policy: Policy, patch: Kind) -> Result<()> {
+    let file = root.join(AWAITING);
+    let text = format!("policy {}\npatch {}\n", policy.name(), patch.name());
+    std::fs::write(&file, text).map_err(|e| Error::io(&file, e))?;
+    sync_directory(root)
 }

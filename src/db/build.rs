@@ -51,7 +51,7 @@ pub struct Input<'a> {
     pub tiles: Vec<(Tile, Arc<Directory>)>,
     pub before: Option<Before<'a>>,
     /// Delivered posts whose sample may have changed; everything if there is no state before.
-    pub dirty: CellRect,
+    pub dirty: Vec<CellRect>,
     /// Compare the posts of a resampled survey with the samples they were made of.
     pub compare: bool,
     pub cache: &'a BlockCache,
@@ -75,7 +75,10 @@ pub fn build(
     for (t, _) in &input.tiles {
         posts = posts.union(&own(&t.posts)?);
     }
-    let dirty = own(&input.dirty)?;
+    let mut dirty = CellRect::new(0, 0, 0, 0);
+    for r in &input.dirty {
+        dirty = dirty.union(&own(r)?);
+    }
     let extent = posts.union(&dirty);
     let span = extent.width() as u64 * extent.height() as u64;
     if span > limits::EXTENT_POSTS_MAX {
@@ -88,7 +91,7 @@ pub fn build(
             span,
         ));
     }
-    let delivered = input.dirty;
+    let delivered = input.dirty.clone();
     let compare = input.compare;
     let mut b =
         Builder { input, posts, dirty, pages: BTreeMap::new(), blocks: HashMap::new(), changed: Vec::new() };
@@ -171,6 +174,11 @@ impl Builder<'_> {
     /// Whether everything of this level has to be built.
     fn is_new(&self, level: u8) -> bool {
         self.level_before().is_none_or(|l| level > l)
+    }
+
+    /// The rectangle of delivered posts that tiles span.
+    pub(super) fn delivered_posts(&self) -> CellRect {
+        self.input.tiles.iter().fold(CellRect::new(0, 0, 0, 0), |r, (t, _)| r.union(&t.posts))
     }
 
     /// Whether a page is there or will be.

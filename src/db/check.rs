@@ -269,7 +269,7 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
         declaration: head.declaration.clone(),
         tiles,
         before: None,
-        dirty: head.posts(),
+        dirty: head.tiles.iter().map(|t| t.posts).collect(),
         compare: false,
         cache: &cache,
         stamp: 0,

@@ -41,7 +41,7 @@ pub(super) struct Retiled {
     pub declaration: Declaration,
     pub tiles: Vec<Tile>,
     /// Delivered posts that may have changed.
-    pub dirty: CellRect,
+    pub dirty: Vec<CellRect>,
     /// Whether to compare what came: resampled posts with its samples, its ground with that of other surveys.
     pub compare: bool,
     /// Pages of tiles that left.

@@ -46,9 +46,55 @@ pub fn samples_of(info: &SourceInfo, request: &Ingest) -> Delivered {
     Delivered { sample_type: info.sample_type, scale: info.scale * metres, offset: info.offset * metres }
 }
 
-fn datum_of(info: &SourceInfo, request: &Ingest) -> Option<String> {
-    request.vertical_datum.clone().or_else(|| info.vertical_datum.clone())
+/// What the heights of a file count from. Databases of format 1 have no place for it: there only what the user says counts.
+fn datum_of(info: &SourceInfo, request: &Ingest, db: &Db) -> Option<String> {
+    let told = info.vertical_datum.clone().filter(|_| db.format() >= 2);
+    request.vertical_datum.clone().or(told)
 }
+
+/// The one vertical datum that files state.
+fn vertical_datum(infos: &[&SourceInfo], request: &Ingest, db: &Db) -> Result<Option<String>> {
+    let mut found: Option<(&str, String)> = None;
+    for info in infos {
+        let Some(datum) = datum_of(info, request, db) else { continue };
+        match &found {
+            Some((file, other)) if *other != datum => {
+                return Err(Error::invalid(
+                    &info.file,
+                    format!(
+                        "its heights count from {datum}, those of {file} from {other}: they are no tiles of one survey"
+                    ),
+                ));
+            }
+            _ => found = Some((&info.file, datum)),
+        }
+    }
+    Ok(found.map(|(_, datum)| datum))
+}
+
+/// Whether a file needs no resampling: it is in the database's system, or in one whose coordinates are the same numbers
+/// everywhere in it (NAD83 and WGS 84, taken as one datum).
+fn is_here(crs: &Crs, info: &SourceInfo, request: &Ingest, db: &Db) -> Result<bool> {
+    if crs.same_as(db.crs()) {
+        return Ok(true);
+    }
+    if crs.unit != db.crs().unit || request.datum != DatumChoice::None {
+        return Ok(false);
+    }
+    let Ok(way) = Transform::new(crs, db.crs(), &DatumChoice::None) else { return Ok(false) };
+    let a = affine_of(info)?;
+    let [sx, sy] = Lattice::of_affine(&a)?.nominal_steps();
+    let (n, m) = ((info.cols - 1) as f64, (info.rows - 1) as f64);
+    let at = |s: f64, t: f64| [0, 1].map(|k| a.origin[k] + s * n * a.col_step[k] + t * m * a.row_step[k]);
+    let same = |p: [f64; 2]| {
+        let q = way.forward(p);
+        q.is_some_and(|q| (0..2).all(|k| (q[k] - p[k]).abs() <= NOWHERE * sx.min(sy)))
+    };
+    Ok([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.5)].into_iter().all(|(s, t)| same(at(s, t))))
+}
+
+/// A move of less than so many steps is none.
+const NOWHERE: f64 = 1e-4;
 
 /// The declaration of a new survey.
 pub fn declare(
@@ -61,15 +107,36 @@ pub fn declare(
     let crs = crs_of(first, request, db)?;
     let delivered = declared_lattice(&Lattice::of_affine(&affine_of(first)?)?, request)?;
     let samples = samples_of(first, request);
-    let vertical_datum = datum_of(first, request);
+    let vertical_datum = vertical_datum(infos, request, db)?;
     let accuracy_m = accuracy(first, request, warnings)?;
     let name = name(first, request)?;
     let here = db.crs();
-    let (lattice, resampled) = if crs.same_as(here) {
+    let (lattice, resampled) = if is_here(&crs, first, request, db)? {
+        if crs.code != here.code {
+            warnings.push(format!(
+                "{} is in {}, whose coordinates are those of the database's {}: nothing is resampled",
+                first.file, crs.code, here.code
+            ));
+        }
+        for (given, option) in
+            [(request.step.is_some(), "--step"), (request.datum != DatumChoice::None, "--datum-shift")]
+        {
+            if given {
+                warnings.push(format!("{}: {option} has no effect, nothing is resampled", first.file));
+            }
+        }
         (delivered, None)
     } else {
         let centre = centre(infos)?;
-        let transform = Transform::new(&crs, here, &request.datum)?;
+        // A choice that is not needed is not recorded: the same file is the same survey with it and without.
+        let datum = match Transform::new(&crs, here, &DatumChoice::None) {
+            Ok(_) => DatumChoice::None,
+            Err(_) => request.datum.clone(),
+        };
+        if datum != request.datum {
+            warnings.push(format!("{}: --datum-shift has no effect, the systems say how to go", first.file));
+        }
+        let transform = Transform::new(&crs, here, &datum)?;
         warnings.extend(transform.notes().iter().map(|n| format!("{}: {n}", first.file)));
         let lattice = own_lattice(&delivered, centre, &transform, db, request, &first.file)?;
         let [sx, sy] = lattice.nominal_steps();
@@ -81,8 +148,8 @@ pub fn declare(
             crs: crs.code.clone(),
             lattice: delivered,
             samples,
-            turn: if crs.unit == AxisUnit::Degree { (centre[0] / 90.0).round() * 90.0 } else { 0.0 },
-            datum: request.datum.to_string(),
+            turn: turn(infos, &crs, &transform, here)?,
+            datum: datum.to_string(),
             operation: transform.description().to_string(),
         };
         (lattice, Some(resampled))
@@ -121,6 +188,31 @@ fn affine_of(info: &SourceInfo) -> Result<Affine> {
     info.affine.ok_or_else(|| Error::invalid(&info.file, "has no georeference"))
 }
 
+/// Longitudes are counted from -180 to 180, or, for files across the antimeridian, from a turn that holds them.
+fn turn(infos: &[&SourceInfo], crs: &Crs, way: &Transform, here: &Crs) -> Result<f64> {
+    let [x0, _, x1, _] = extent(infos)?;
+    if crs.unit == AxisUnit::Degree {
+        return Ok(if x1 > 180.0 {
+            180.0
+        } else if x0 < -180.0 {
+            -180.0
+        } else {
+            0.0
+        });
+    }
+    if here.unit != AxisUnit::Degree {
+        return Ok(0.0);
+    }
+    // Corners of one area whose longitudes are more than half a turn apart lie on both sides of it.
+    let [x0, y0, x1, y1] = extent(infos)?;
+    let found: Vec<f64> = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]]
+        .into_iter()
+        .filter_map(|p| Some(way.forward(p)?[0]))
+        .collect();
+    let (lo, hi) = found.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+    Ok(if hi - lo > 180.0 { 180.0 } else { 0.0 })
+}
+
 /// The lattice of the files, as the user declares it.
 fn declared_lattice(found: &Lattice, request: &Ingest) -> Result<Lattice> {
     let mut lattice = *found;
@@ -138,6 +230,12 @@ fn declared_lattice(found: &Lattice, request: &Ingest) -> Result<Lattice> {
 
 /// Middle of the box around all files, in their system.
 fn centre(infos: &[&SourceInfo]) -> Result<[f64; 2]> {
+    let b = extent(infos)?;
+    Ok([(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0])
+}
+
+/// The box around all posts of files: xmin, ymin, xmax, ymax.
+fn extent(infos: &[&SourceInfo]) -> Result<[f64; 4]> {
     let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
     for info in infos {
         let a = affine_of(info)?;
@@ -147,7 +245,7 @@ fn centre(infos: &[&SourceInfo]) -> Result<[f64; 2]> {
             b = [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])];
         }
     }
-    Ok([(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0])
+    Ok(b)
 }
 
 /// North-up posts in the database's system: as many to the area as the files have at the declared centre, at multiples of
@@ -191,7 +289,11 @@ fn own_lattice(
         }
     };
     if !steps.iter().all(|s| s.is_finite() && *s > 0.0) {
-        return Err(Error::invalid("--step", format!("{steps:?}: steps are positive numbers")));
+        let reason = match request.step {
+            Some(_) => format!("{steps:?}: steps are positive numbers"),
+            None => format!("{file} has no spacing at its centre in the database's CRS; say one"),
+        };
+        return Err(Error::invalid("--step", reason));
     }
     Ok(Lattice { col_step: [steps[0], 0.0], row_step: [0.0, steps[1]], phase: [0.0; 2] })
 }
@@ -273,7 +375,8 @@ pub fn agree(d: &Declaration, first: &SourceInfo, request: &Ingest) -> Result<()
 /// Whether a file can be a tile of a survey: same system, same kind of samples, same vertical datum.
 pub fn fits(d: &Declaration, info: &SourceInfo, request: &Ingest, db: &Db) -> Result<()> {
     let (crs, declared) = (crs_of(info, request, db)?, Crs::parse(d.delivered_crs())?);
-    if !crs.same_as(&declared) {
+    let same = crs.same_as(&declared) || d.resampled.is_none() && is_here(&crs, info, request, db)?;
+    if !same {
         return Err(Error::invalid(
             &info.file,
             format!(
@@ -297,18 +400,17 @@ pub fn fits(d: &Declaration, info: &SourceInfo, request: &Ingest, db: &Db) -> Re
             ),
         ));
     }
-    if let (Some(a), Some(b)) = (datum_of(info, request), &d.vertical_datum)
-        && a != *b
-    {
-        return Err(Error::invalid(
-            &info.file,
-            format!(
-                "its heights count from {a}, those of survey '{}' from {b}; ingest it as a survey of its own",
-                d.name
-            ),
-        ));
-    }
-    Ok(())
+    let Some(datum) = datum_of(info, request, db) else { return Ok(()) };
+    let have = match &d.vertical_datum {
+        Some(b) if *b == datum => return Ok(()),
+        Some(b) => format!("from {b}"),
+        None => "from a datum that nobody stated".into(),
+    };
+    let reason = format!(
+        "its heights count from {datum}, those of survey '{}' {have}; ingest it as a survey of its own",
+        d.name
+    );
+    Err(Error::invalid(&info.file, reason))
 }
 
 /// Refuses to mix heights that are known to count from different surfaces.

@@ -57,7 +57,8 @@ pub struct Delivered {
 pub type DeclarationId = [u8; 16];
 
 impl Declaration {
-    fn put(&self, out: &mut impl Put) {
+    /// `words`: with what was done in words, which is no part of the identity: it names the library.
+    fn put(&self, out: &mut impl Put, words: bool) {
         out.put_text(&self.name);
         out.put_text(&self.crs);
         put_lattice(out, &self.lattice);
@@ -84,7 +85,9 @@ impl Declaration {
             out.put_f64(s.samples.offset);
             out.put_f64(s.turn);
             out.put_text(&s.datum);
-            out.put_text(&s.operation);
+            if words {
+                out.put_text(&s.operation);
+            }
         }
     }
 
@@ -152,7 +155,7 @@ impl Declaration {
     pub fn id(&self) -> DeclarationId {
         let mut h = blake3::Hasher::new();
         h.put(b"terraquilt survey 1");
-        self.put(&mut h);
+        self.put(&mut h, false);
         h.finalize().as_bytes()[..16].try_into().expect("a hash has 32 bytes")
     }
 
@@ -272,7 +275,7 @@ impl Head {
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();
         out.put_u8(if self.declaration.is_plain() { PLAIN } else { DECLARED_IN_FULL });
-        self.declaration.put(&mut out);
+        self.declaration.put(&mut out, true);
         out.put_u32(self.tiles.len() as u32);
         for t in &self.tiles {
             t.put(&mut out);

@@ -47,7 +47,7 @@ impl Writing {
                     before: Some(head.clone()),
                     declaration: head.declaration.clone(),
                     tiles: head.tiles.iter().filter(|k| k.key != t.key).cloned().collect(),
-                    dirty: t.posts,
+                    dirty: vec![t.posts],
                     compare: false,
                     dead: self.tile_pages(&t)?,
                     segment,

@@ -12,14 +12,15 @@ use crate::height::resample::Warp;
 use crate::store::segment::{Files, SegmentWriter};
 use crate::store::table::{PageAddress, block_slot};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// The way from a survey's delivered posts to its own; `None` if they are the same.
 pub fn warp_of(d: &Declaration) -> Result<Option<Warp>> {
     let Some(r) = &d.resampled else { return Ok(None) };
     let (from, to) = (Crs::parse(&r.crs)?, Crs::parse(&d.crs)?);
     let transform = Transform::new(&from, &to, &DatumChoice::parse(&r.datum)?)?;
-    let turn = (from.unit == AxisUnit::Degree).then_some(r.turn);
-    Ok(Some(Warp::new(r.lattice, d.lattice, LatticeUnit::for_crs(&to), transform, turn)?))
+    let degrees = [from.unit == AxisUnit::Degree, to.unit == AxisUnit::Degree];
+    Ok(Some(Warp::new(r.lattice, d.lattice, LatticeUnit::for_crs(&to), transform, r.turn, degrees)?))
 }
 
 /// What resampling did to the samples: absolute differences between the survey's surface and the delivered samples, at
@@ -84,6 +85,7 @@ impl Builder<'_> {
         progress: &Progress,
     ) -> Result<()> {
         let blocks = blocks_of(&self.dirty);
+        let extent = self.delivered_posts();
         for bj in blocks.j0..blocks.j1 {
             progress.step("resampling", (bj - blocks.j0) as f64 / blocks.height() as f64)?;
             let row: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader| {
@@ -92,7 +94,7 @@ impl Builder<'_> {
                     .map(|bi| {
                         let posts = |r: &CellRect| reader.delivered_posts(r);
                         let none = |r: &CellRect| reader.delivered_is_void(r);
-                        Ok(warp.block(bi, bj, &posts, &none)?.map(|b| encode(&b)))
+                        Ok(warp.block(bi, bj, &extent, &posts, &none)?.map(|b| encode(&b)))
                     })
                     .collect()
             })?;
@@ -113,27 +115,32 @@ impl Builder<'_> {
     pub(super) fn compare(
         &self,
         warp: &Warp,
-        delivered: &CellRect,
+        delivered: &[CellRect],
         base: &Files,
         out: &SegmentWriter,
         progress: &Progress,
     ) -> Result<Resampling> {
-        let blocks = blocks_of(delivered);
+        let blocks: BTreeSet<(i64, i64)> = delivered
+            .iter()
+            .map(blocks_of)
+            .flat_map(|b| (b.j0..b.j1).flat_map(move |bj| (b.i0..b.i1).map(move |bi| (bj, bi))))
+            .collect();
+        let blocks: Vec<(i64, i64)> = blocks.into_iter().collect();
         let mut counts = Counts::new();
         self.with_reader(base, out, |reader| {
-            for bj in blocks.j0..blocks.j1 {
-                progress.step("comparing", (bj - blocks.j0) as f64 / blocks.height() as f64)?;
-                let row: Vec<Vec<f64>> = (blocks.i0..blocks.i1)
+            for (n, some) in blocks.chunks(64).enumerate() {
+                progress.step("comparing", n as f64 * 64.0 / blocks.len() as f64)?;
+                let found: Vec<Vec<f64>> = some
                     .into_par_iter()
-                    .map(|bi| {
+                    .map(|(bj, bi)| {
                         let mut found = Vec::new();
                         let (source, target) =
                             (|r: &CellRect| reader.delivered_posts(r), |r: &CellRect| reader.posts(r));
-                        warp.differences(bi, bj, &source, &target, |d| found.push(d))?;
+                        warp.differences(*bi, *bj, &source, &target, |d| found.push(d))?;
                         Ok(found)
                     })
                     .collect::<Result<_>>()?;
-                row.iter().for_each(|d| counts.add(d));
+                found.iter().for_each(|d| counts.add(d));
             }
             Ok(())
         })?;

@@ -158,6 +158,17 @@ pub fn write_tile(
     }
     let to_height = |v: f64| v * delivered.scale + delivered.offset;
     let (a, b) = (to_height(z[0]), to_height(z[1]));
+    if valid_count > 0 && !(a.abs().max(b.abs()) <= limits::HEIGHT_M_MAX) {
+        return Err(Error::invalid(
+            &info.file,
+            format!(
+                "holds heights from {} to {} m; beyond {} m is no ground: check --nodata and --vertical-unit",
+                a.min(b),
+                a.max(b),
+                limits::HEIGHT_M_MAX
+            ),
+        ));
+    }
     let directory = out.append(&Directory { blocks, pages }.encode())?;
     Ok(Tile {
         key: hash.finalize().as_bytes()[..16].try_into().expect("a hash has 32 bytes"),

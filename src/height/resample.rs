@@ -17,8 +17,10 @@ const N: usize = BLOCK as usize;
 /// Posts between nodes of the control grid.
 const CONTROL: usize = 16;
 /// How far, in steps, a place interpolated in a square of the control grid may lie from the true one at the middle of the
-/// square; where it is further, every place of the square is computed.
+/// square or of two of its sides; where it is further, every place of the square is computed.
 const CONTROL_TOLERANCE: f64 = 1.0 / 256.0;
+/// Largest index of a post.
+const INDEX_MAX: f64 = 1e9;
 /// Places along each side of a rectangle at which a transform is tried before anything is resampled.
 const TRIED: i64 = 64;
 
@@ -29,37 +31,72 @@ pub struct Warp {
     frame: Frame,
     unit: LatticeUnit,
     transform: Transform,
-    /// Source longitudes are taken within half a turn of this one.
-    turn: Option<f64>,
+    /// Longitudes, of either side, are taken within half a turn of this one.
+    turn: f64,
+    /// Whether source and target are in degrees.
+    degrees: [bool; 2],
 }
 
 impl Warp {
-    /// `turn`: source longitudes are taken within half a turn of this one; `None` if the source is not in degrees.
+    /// `turn`: longitudes are taken within half a turn of this one; `degrees`: which of source and target have longitudes.
     pub fn new(
         source: Lattice,
         target: Lattice,
         unit: LatticeUnit,
         transform: Transform,
-        turn: Option<f64>,
+        turn: f64,
+        degrees: [bool; 2],
     ) -> Result<Warp> {
         let frame = target.frame(unit)?;
-        Ok(Warp { source, target, frame, unit, transform, turn })
+        Ok(Warp { source, target, frame, unit, transform, turn, degrees })
     }
 
-    /// Where a target post lies among the source posts, in source steps.
+    /// Within half a turn, if the side is in degrees.
+    fn turned(&self, mut p: [f64; 2], side: usize) -> [f64; 2] {
+        if self.degrees[side] {
+            p[0] -= ((p[0] - self.turn) / 360.0).round() * 360.0;
+        }
+        p
+    }
+
+    /// A target position in the source system.
+    fn back(&self, p: [f64; 2]) -> Option<[f64; 2]> {
+        Some(self.turned(self.transform.inverse(p)?, 0))
+    }
+
+    /// Where a target post lies among the source posts, in source steps. A target longitude beyond half a turn is no place: it
+    /// is another name of one within.
     fn in_source(&self, i: i64, j: i64) -> Option<[f64; 2]> {
         let p = self.frame.post(i, j);
         let size = self.unit.size();
-        let mut q = self.transform.inverse([p.x as f64 * size, p.y as f64 * size])?;
-        if let Some(at) = self.turn {
-            q[0] -= ((q[0] - at) / 360.0).round() * 360.0;
+        let p = [p.x as f64 * size, p.y as f64 * size];
+        if self.degrees[1] && !(self.turn - 180.0..self.turn + 180.0).contains(&p[0]) {
+            return None;
         }
-        finite(self.source.index(q))
+        finite(self.source.index(self.back(p)?))
+    }
+
+    /// Where a source post lies in the target system.
+    fn over(&self, i: i64, j: i64) -> Option<[f64; 2]> {
+        Some(self.turned(self.transform.forward(self.source.post(i, j))?, 1))
     }
 
     /// Where a source post lies among the target posts, in target steps.
     fn in_target(&self, i: i64, j: i64) -> Option<[f64; 2]> {
-        finite(self.target.index(self.transform.forward(self.source.post(i, j))?))
+        finite(self.target.index(self.over(i, j)?))
+    }
+
+    /// Whether a source post, brought over and back, is where it was, to a hundredth of a step.
+    fn returns(&self, i: i64, j: i64) -> bool {
+        let p = self.source.post(i, j);
+        let Some(q) = self.over(i, j).and_then(|q| self.transform.inverse(q)) else { return false };
+        let mut off = [q[0] - p[0], q[1] - p[1]];
+        if self.degrees[0] {
+            // A meridian has many names, and a pole lies on all of them.
+            off[0] = (off[0] - (off[0] / 360.0).round() * 360.0) * p[1].to_radians().cos();
+        }
+        let [u, v] = self.source.nominal_steps();
+        off[0].abs() <= 0.01 * u.max(v) && off[1].abs() <= 0.01 * u.max(v)
     }
 
     /// Target posts that source posts can change: a rectangle that holds them all, and more.
@@ -72,13 +109,17 @@ impl Warp {
         for l in 0..=TRIED {
             for k in 0..=TRIED {
                 let (i, j) = (along(posts.i0, posts.width(), k), along(posts.j0, posts.height(), l));
-                let there = self.in_target(i, j).filter(|p| p.iter().all(|v| v.abs() < 1e9));
-                let back = there.and_then(|p| self.in_source(p[0].round() as i64, p[1].round() as i64));
-                let Some((p, q)) = there.zip(back) else {
+                let Some(p) = self.in_target(i, j) else {
                     return Err(self.outside(i, j, file, "has no place"));
                 };
-                // Rounding to a post moves a place by at most a step; more is another branch of the projection.
-                if (q[0] - i as f64).abs().max((q[1] - j as f64).abs()) > 8.0 {
+                if p.iter().any(|v| v.abs() > INDEX_MAX) {
+                    let what = format!(
+                        "index of a post of {file} from the origin of the database's CRS (--step is too fine)"
+                    );
+                    return Err(Error::limit(what, INDEX_MAX as u64, p[0].abs().max(p[1].abs()) as u64));
+                }
+                // Elsewhere is another branch of the projection.
+                if !self.returns(i, j) {
                     return Err(self.outside(i, j, file, "does not come back to where it was"));
                 }
                 b = [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])];
@@ -108,24 +149,28 @@ impl Warp {
         )
     }
 
-    /// One block of target posts as samples (`float32`, metres). `posts` reads source heights, voids as NaN; `none` says
-    /// that a rectangle of source posts holds nothing valid. `None` if the block holds nothing valid.
+    /// One block of target posts as samples (`float32`, metres). `extent` holds all source posts; `posts` reads their
+    /// heights, voids as NaN; `none` says that a rectangle of them holds nothing valid. `None` if the block holds nothing valid.
     pub fn block(
         &self,
         bi: i64,
         bj: i64,
+        extent: &CellRect,
         posts: &dyn Fn(&CellRect) -> Result<Vec<f64>>,
         none: &dyn Fn(&CellRect) -> bool,
     ) -> Result<Option<RawBlock>> {
-        let places = places(bi, bj, &|i, j| self.in_source(i, j));
+        let mut places = places(bi, bj, &|i, j| self.in_source(i, j));
+        let lies = |v: f64, a: i64, b: i64| v >= a as f64 && v <= (b - 1) as f64;
+        for p in &mut places {
+            if !(lies(p[0], extent.i0, extent.i1) && lies(p[1], extent.j0, extent.j1)) {
+                *p = [f64::NAN; 2];
+            }
+        }
         let mut z = vec![f32::NAN; N * N];
         for square in 0..(N / CONTROL) * (N / CONTROL) {
             let (a0, b0) = (square % (N / CONTROL) * CONTROL, square / (N / CONTROL) * CONTROL);
             let inside = || (b0..b0 + CONTROL).flat_map(|b| (a0..a0 + CONTROL).map(move |a| b * N + a));
             let Some(window) = around(inside().map(|k| places[k])) else { continue };
-            if none(&window) {
-                continue;
-            }
             let count = window.width() as u64 * window.height() as u64;
             if count > limits::WINDOW_POSTS_MAX {
                 return Err(Error::limit(
@@ -136,6 +181,9 @@ impl Warp {
                     limits::WINDOW_POSTS_MAX,
                     count,
                 ));
+            }
+            if none(&window) {
+                continue;
             }
             let read = posts(&window)?;
             for k in inside() {
@@ -215,11 +263,15 @@ fn places(bi: i64, bj: i64, map: &dyn Fn(i64, i64) -> Option<[f64; 2]>) -> Vec<[
         let smooth = match corners {
             [Some(a), Some(b), Some(c), Some(d)] => {
                 let c = [a, b, c, d];
-                let near = |m: [f64; 2]| {
-                    let g = between(&c, 0.5, 0.5);
-                    (g[0] - m[0]).abs().max((g[1] - m[1]).abs()) <= CONTROL_TOLERANCE
+                // At the middle, and at the middles of two sides: between two conformal maps the first says nothing.
+                let near = |a: i64, b: i64| {
+                    map(i + a, j + b).is_some_and(|m| {
+                        let g = between(&c, a as f64 / STEP as f64, b as f64 / STEP as f64);
+                        (g[0] - m[0]).abs().max((g[1] - m[1]).abs()) <= CONTROL_TOLERANCE
+                    })
                 };
-                map(i + STEP / 2, j + STEP / 2).is_some_and(near).then_some(c)
+                let half = STEP / 2;
+                (near(half, half) && near(half, 0) && near(0, half)).then_some(c)
             }
             _ => None,
         };
