@@ -92,7 +92,7 @@ fn tiles_far_apart_are_judged_one_by_one() {
     let room = room("EPSG:32610");
     for (k, origin) in [[-123.0, 5.0], [-63.0, 75.0], [-43.0, 82.0]].into_iter().enumerate() {
         let g = rough(origin, [0.0125, 0.0125], 8, 8);
-        room.bring(&[(&g, "EPSG:4326")], Some(5000.0), (k > 0).then_some("g")).unwrap();
+        room.bring(&[(&g, "EPSG:4326")], Some(1000.0), (k > 0).then_some("g")).unwrap();
     }
     room.sound();
 }

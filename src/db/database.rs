@@ -162,8 +162,9 @@ impl Db {
                 ));
             }
             // What an `init` leaves that was cut off is no reason to refuse.
-            let ours =
-                |name: &str| ["segments", "readers", AWAITING].contains(&name) || LEFTOVERS.contains(&name);
+            let ours = |name: &str| {
+                ["segments", "readers", "writer.lock", AWAITING].contains(&name) || LEFTOVERS.contains(&name)
+            };
             if !entries.all(|e| e.is_ok_and(|e| e.file_name().to_str().is_some_and(ours))) {
                 return Err(Error::invalid(root.display(), "is not empty; give a new directory"));
             }

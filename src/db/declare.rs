@@ -148,7 +148,7 @@ pub fn declare(
             crs: crs.code.clone(),
             lattice: delivered,
             samples,
-            turn: turn(infos, &crs, &transform, here)?,
+            turn: turn(infos, &crs)?,
             datum: datum.to_string(),
             operation: transform.description().to_string(),
         };
@@ -188,29 +188,18 @@ fn affine_of(info: &SourceInfo) -> Result<Affine> {
     info.affine.ok_or_else(|| Error::invalid(&info.file, "has no georeference"))
 }
 
-/// Longitudes are counted from -180 to 180, or, for files across the antimeridian, from a turn that holds them.
-fn turn(infos: &[&SourceInfo], crs: &Crs, way: &Transform, here: &Crs) -> Result<f64> {
+/// Where longitudes are counted from: half a turn to either side of it. For files in degrees 0, or, across the antimeridian, a
+/// turn that holds them; for others the multiple of 90 next to the middle of their system, whichever file comes first.
+fn turn(infos: &[&SourceInfo], crs: &Crs) -> Result<f64> {
+    if crs.unit != AxisUnit::Degree {
+        return Ok((crs.middle()?[0] / 90.0).round() * 90.0);
+    }
     let [x0, _, x1, _] = extent(infos)?;
-    if crs.unit == AxisUnit::Degree {
-        return Ok(if x1 > 180.0 {
-            180.0
-        } else if x0 < -180.0 {
-            -180.0
-        } else {
-            0.0
-        });
-    }
-    if here.unit != AxisUnit::Degree {
-        return Ok(0.0);
-    }
-    // Corners of one area whose longitudes are more than half a turn apart lie on both sides of it.
-    let [x0, y0, x1, y1] = extent(infos)?;
-    let found: Vec<f64> = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]]
-        .into_iter()
-        .filter_map(|p| Some(way.forward(p)?[0]))
-        .collect();
-    let (lo, hi) = found.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
-    Ok(if hi - lo > 180.0 { 180.0 } else { 0.0 })
+    Ok(match (x0 < -180.0, x1 > 180.0) {
+        (_, true) => 180.0,
+        (true, _) => -180.0,
+        _ => 0.0,
+    })
 }
 
 /// The lattice of the files, as the user declares it.

@@ -37,7 +37,7 @@ pub struct Resampled {
     /// Lattice of the files; tiles are rectangles of it.
     pub lattice: Lattice,
     pub samples: Delivered,
-    /// Longitudes of the files are taken within half a turn of this one, a multiple of 90; 0 if they have none.
+    /// Longitudes, of the files or of the database, are taken within half a turn of this one, a multiple of 90.
     pub turn: f64,
     /// What the user chose about the datums, as `DatumChoice` prints it.
     pub datum: String,

@@ -87,6 +87,11 @@ impl Crs {
         self.code == other.code || transform::agree(self, other)
     }
 
+    /// Longitude and latitude next to the middle of what the system is made for, degrees: its projection's origin.
+    pub fn middle(&self) -> Result<[f64; 2]> {
+        Ok(self.definition()?.middle())
+    }
+
     fn definition(&self) -> Result<Definition> {
         notation::read(&self.code).map(|(_, definition)| definition)
     }
