@@ -118,13 +118,12 @@ impl Grid {
 
     /// Whether a point belongs to the region that was asked for.
     pub fn contains(&self, p: [f64; 2]) -> bool {
+        // A hair to the north-east: of two regions that share an edge, one has the cells whose centres lie on it.
+        let p = [0, 1].map(|k| p[k] + self.step[k] * 1e-6);
         match &self.area {
             Area::Everything => true,
             Area::Polygon(polygon) => polygon.contains(p),
-            Area::Box(b) => {
-                let slack = [self.step[0] * 1e-6, self.step[1] * 1e-6];
-                (0..2).all(|k| p[k] >= b[k] - slack[k] && p[k] <= b[k + 2] + slack[k])
-            }
+            Area::Box(b) => (0..2).all(|k| p[k] >= b[k] && p[k] < b[k + 2]),
         }
     }
 

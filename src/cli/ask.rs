@@ -57,6 +57,7 @@ impl Surveys {
                 "name",
                 "date",
                 "accuracy m",
+                "rank",
                 "step",
                 "turned",
                 "posts",

@@ -95,6 +95,7 @@ impl Writing {
                 w.target_rect(&posts, &info.file)?;
             }
             let tile = write_tile(source.as_mut(), &declaration, at, &mut segment, call.progress)?;
+            warnings.extend(suspect(&info, &tile, &declaration));
             posts += info.cols * info.rows;
             voids += info.cols * info.rows - tile.valid;
             if tile.valid == 0 {
@@ -253,6 +254,21 @@ impl Writing {
         let d = self.view.directory(&t.directory)?;
         Ok(std::iter::once(t.directory).chain(d.pages.iter().map(|(p, _)| *p)).collect())
     }
+}
+
+/// Values that programs write where there is no data.
+const NODATA_LIKE: [f64; 6] = [-32768.0, -32767.0, -9999.0, -99999.0, 32767.0, -3.4028234663852886e38];
+
+/// A note if the lowest or highest sample looks like a nodata value that the file does not name.
+fn suspect(info: &SourceInfo, tile: &Tile, d: &Declaration) -> Option<String> {
+    let samples = d.delivered();
+    let raw = |z: f64| (z - samples.offset) / samples.scale;
+    let found =
+        NODATA_LIKE.into_iter().find(|v| tile.z.iter().any(|z| (raw(*z) - v).abs() < 1e-6 * v.abs()))?;
+    Some(format!(
+        "{}: {found} looks like a nodata value, and counts as a height; --nodata {found} says otherwise",
+        info.file
+    ))
 }
 
 /// Pages of a tile in the segment being written.

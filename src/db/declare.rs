@@ -111,6 +111,12 @@ pub fn declare(
     let accuracy_m = accuracy(first, request, warnings)?;
     let name = name(first, request)?;
     let here = db.crs();
+    if let (Some(said), Some(told)) = (&request.crs, &first.crs)
+        && !said.same_as(told)
+    {
+        warnings.push(format!("{}: the file says {}, it is taken as {}", first.file, told.code, said.code));
+    }
+    warnings.extend(stretched(&crs, infos, db)?);
     let (lattice, resampled) = if is_here(&crs, first, request, db)? {
         if crs.code != here.code {
             warnings.push(format!(
@@ -200,6 +206,39 @@ fn turn(infos: &[&SourceInfo], crs: &Crs) -> Result<f64> {
         (true, _) => -180.0,
         _ => 0.0,
     })
+}
+
+/// A note where lengths on the database's map are not those on the ground: far from what its system is made for, or in one that is
+/// made for no place (web Mercator).
+fn stretched(crs: &Crs, infos: &[&SourceInfo], db: &Db) -> Result<Option<String>> {
+    const NOTED: f64 = 0.01;
+    let AxisUnit::Metre(unit_m) = db.crs().unit else { return Ok(None) };
+    let globe = Crs::from_epsg(4326)?;
+    let (Ok(there), Ok(here)) = (
+        Transform::new(crs, &globe, &DatumChoice::Ballpark),
+        Transform::new(&globe, db.crs(), &DatumChoice::Ballpark),
+    ) else {
+        return Ok(None);
+    };
+    let Some(c) = there.forward(centre(infos)?) else { return Ok(None) };
+    const STEP: f64 = 1e-4;
+    let at = |dx: f64, dy: f64| here.forward([c[0] + dx, c[1] + dy]);
+    let (Some(w), Some(e), Some(s), Some(n)) = (at(-STEP, 0.0), at(STEP, 0.0), at(0.0, -STEP), at(0.0, STEP))
+    else {
+        return Ok(None);
+    };
+    let area = ((e[0] - w[0]) * (n[1] - s[1]) - (e[1] - w[1]) * (n[0] - s[0])).abs() * unit_m * unit_m;
+    let ground = metres_per_unit(AxisUnit::Degree, c);
+    let scale = (area / (4.0 * STEP * STEP * ground[0] * ground[1])).sqrt();
+    Ok(((scale - 1.0).abs() > NOTED).then(|| {
+        format!(
+            "at {:.3}, {:.3} (longitude, latitude) lengths in {} are {scale:.3} times those on the ground: areas, slopes and volumes there \
+             are those of the map",
+            c[0],
+            c[1],
+            db.crs().code
+        )
+    }))
 }
 
 /// The lattice of the files, as the user declares it.

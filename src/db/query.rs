@@ -5,7 +5,7 @@ use super::database::Snapshot;
 use super::seams::Fields;
 use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
-use crate::base::lattice::Bounds;
+use crate::base::lattice::{Bounds, Point};
 use crate::base::polygon::Polygon;
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
@@ -260,24 +260,23 @@ impl Snapshot {
         Ok(self.ground(selection, self.cut(&query.tolerance), query.how))
     }
 
+    /// Surveys whose weights may reach into a box.
+    fn near(&self, b: [f64; 4]) -> HashSet<SurveyNumber> {
+        if !b.iter().all(|v| v.is_finite()) {
+            return HashSet::new();
+        }
+        let size = self.unit.size();
+        let to = |v: f64| ((v / size).round()).clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
+        let bounds = Bounds { min: Point::new(to(b[0]), to(b[1])), max: Point::new(to(b[2]), to(b[3])) };
+        Rules(&self.view).meeting(&bounds).into_iter().collect()
+    }
+
     fn ground(&self, selection: Selection, cut: Box<dyn Cut>, how: How) -> Ground<'_> {
         let b = selection.region.bounds();
         let origin = if b[0].is_finite() { [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0] } else { [0.0; 2] };
         // Masks need every survey near the region, whether a patch of it was selected or not.
         let used: HashSet<SurveyNumber> = selection.records.iter().map(|r| r.survey).collect();
-        let near: HashSet<SurveyNumber> = {
-            let size = self.unit.size();
-            let to = |v: f64| ((v / size).round()).clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
-            let bounds = Bounds {
-                min: crate::base::lattice::Point::new(to(b[0]), to(b[1])),
-                max: crate::base::lattice::Point::new(to(b[2]), to(b[3])),
-            };
-            if b[0].is_finite() {
-                Rules(&self.view).meeting(&bounds).into_iter().collect()
-            } else {
-                HashSet::new()
-            }
-        };
+        let near = self.near(b);
         let keep: Vec<SurveyNumber> =
             self.entries().map(|e| e.number).filter(|s| used.contains(s) || near.contains(s)).collect();
         let slot: HashMap<SurveyNumber, usize> = keep.iter().enumerate().map(|(k, s)| (*s, k)).collect();
@@ -368,6 +367,9 @@ impl Snapshot {
             return Ok(());
         }
         let b = crate::height::lod::cut::bounds(&order.iter().map(|k| points[*k]).collect::<Vec<_>>());
+        if self.near(b).is_empty() {
+            return Ok(());
+        }
         let (w, h) = (b[2] - b[0], b[3] - b[1]);
         let finest = self
             .entries()

@@ -70,7 +70,7 @@ pub fn automatic(bounds: [f64; 4]) -> Result<Crs> {
             east - west,
             REACH_M / 1000.0
         ),
-        "name a CRS that fits the whole area with --crs, such as EPSG:5070 (United States), EPSG:3035 (Europe) \
+        "make the database in a system that fits the whole area with `terraquilt init NEWDIR --crs ...`, such as EPSG:5070 (United States), EPSG:3035 (Europe) \
          or EPSG:4326 (anywhere, in degrees)",
     ))
 }
