@@ -158,7 +158,8 @@ pub fn write_tile(
     }
     let to_height = |v: f64| v * delivered.scale + delivered.offset;
     let (a, b) = (to_height(z[0]), to_height(z[1]));
-    if valid_count > 0 && !(a.abs().max(b.abs()) <= limits::HEIGHT_M_MAX) {
+    let far = a.abs().max(b.abs());
+    if valid_count > 0 && (far.is_nan() || far > limits::HEIGHT_M_MAX) {
         return Err(Error::invalid(
             &info.file,
             format!(
