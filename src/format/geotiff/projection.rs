@@ -58,7 +58,7 @@ pub fn proj_string(keys: &GeoKeys) -> Result<String, String> {
         }
         None => method(keys)?,
     };
-    let unit = linear_unit(keys).unwrap_or(1.0);
+    let unit = linear_unit(keys)?.unwrap_or(1.0);
     Ok(format!("{projection} {datum} +to_meter={unit}"))
 }
 
@@ -68,7 +68,7 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
     if angle != UNIT_DEGREE && angle != UNIT_DEGREE_UNSPECIFIED {
         return Err(format!("the file's CRS counts angles in unit {angle}, not degrees"));
     }
-    let unit = linear_unit(keys).unwrap_or(1.0);
+    let unit = linear_unit(keys)?.unwrap_or(1.0);
     // The first key that is there, in the order in which GDAL asks.
     let first = |order: &[u16]| order.iter().find_map(|key| keys.double(*key));
     let or_zero = |order: &[u16]| first(order).unwrap_or(0.0);

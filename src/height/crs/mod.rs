@@ -11,6 +11,7 @@ pub mod geoid;
 mod notation;
 mod own;
 mod transform;
+pub mod unit;
 pub mod vertical;
 mod wkt;
 
