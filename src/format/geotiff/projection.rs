@@ -7,7 +7,7 @@ use super::georef::{
     GeoKeys, KEY_ANGULAR_UNIT, KEY_GEODETIC_CRS, KEY_MODEL_TYPE, MODEL_GEOGRAPHIC, UNIT_DEGREE,
     UNIT_DEGREE_UNSPECIFIED, linear_unit,
 };
-use crate::height::crs::{Crs, Helmert, datum_words};
+use crate::height::crs::{Crs, Helmert, counts_from_another_meridian, datum_words};
 
 const KEY_DATUM: u16 = 2050;
 const KEY_PRIME_MERIDIAN: u16 = 2051;
@@ -133,8 +133,13 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
 
 /// Datum and ellipsoid as PROJ words.
 fn datum(keys: &GeoKeys) -> Result<String, String> {
-    let meridian = keys.code(KEY_PRIME_MERIDIAN).is_some_and(|code| code != GREENWICH);
-    if meridian || keys.double(KEY_PRIME_MERIDIAN_LONGITUDE).is_some_and(|lon| lon != 0.0) {
+    // Datum codes 6001 to 6999 were those of the geographic systems, moved by 2000.
+    let code = keys.code(KEY_GEODETIC_CRS).map(u32::from).or_else(|| {
+        keys.code(KEY_DATUM).map(u32::from).filter(|code| (6001..7000).contains(code)).map(|code| code - 2000)
+    });
+    let meridian = keys.code(KEY_PRIME_MERIDIAN).is_some_and(|code| code != GREENWICH)
+        || keys.double(KEY_PRIME_MERIDIAN_LONGITUDE).is_some_and(|lon| lon != 0.0);
+    if meridian || code.is_some_and(counts_from_another_meridian) {
         return Err("the file's CRS counts longitude from another meridian than Greenwich".to_string());
     }
     let shift = match keys.numbers(KEY_TO_WGS84) {
@@ -145,10 +150,6 @@ fn datum(keys: &GeoKeys) -> Result<String, String> {
             Some(helmert.ok_or("the file's shift to WGS 84 has neither 3 nor 7 numbers")?)
         }
     };
-    // Datum codes 6001 to 6999 were those of the geographic systems, moved by 2000.
-    let code = keys.code(KEY_GEODETIC_CRS).map(u32::from).or_else(|| {
-        keys.code(KEY_DATUM).map(u32::from).filter(|code| (6001..7000).contains(code)).map(|code| code - 2000)
-    });
     if let (Some(code), None) = (code, &shift) {
         let crs = Crs::from_epsg(code).map_err(|e| format!("the file's geographic system: {e}"))?;
         return datum_words(&crs).map_err(|e| format!("the file's geographic system: {e}"));
@@ -222,6 +223,12 @@ mod tests {
         assert_eq!(code(&shorts, &[(2062, &shift)]), expected);
         assert!(code(&shorts, &[(2062, &shift[..4])]).contains("neither 3 nor 7"));
         assert!(code(&[(1024, 2), (2051, 8903)], &[]).contains("Greenwich"));
+        // Rome, by the code of the system; Jakarta, by that of the datum, with a shift and without.
+        let rome = [(1024, 1), (2048, 4806), (3072, 32767), (3074, 32767), (3075, 1), (3076, 9001)];
+        assert!(code(&rome, &[]).contains("Greenwich"));
+        let jakarta = [(1024, 2), (2048, 32767), (2050, 6813), (2054, 9102), (2056, 7004)];
+        assert!(code(&jakarta, &[]).contains("Greenwich"));
+        assert!(code(&jakarta, &[(2062, &shift)]).contains("Greenwich"));
     }
 
     #[test]

@@ -88,6 +88,10 @@ impl Crs {
         self.code == other.code || transform::agree(self, other)
     }
 
+    fn epsg(&self) -> Option<u32> {
+        self.code.strip_prefix("EPSG:").and_then(|n| n.parse().ok())
+    }
+
     fn definition(&self) -> Result<Definition> {
         notation::read(&self.code).map(|(_, definition)| definition)
     }
@@ -151,10 +155,14 @@ const OTHER_MERIDIAN: [std::ops::RangeInclusive<u32>; 24] = [
     31281..=31293,
 ];
 
+/// Whether an EPSG system counts longitude from another meridian than Greenwich.
+pub fn counts_from_another_meridian(epsg: u32) -> bool {
+    OTHER_MERIDIAN.iter().any(|codes| codes.contains(&epsg))
+}
+
 /// Why a system must not be transformed: proj-core and PROJ compute it differently.
-fn differs_from_proj(code: &str, definition: &Definition) -> Option<&'static str> {
-    let epsg = code.strip_prefix("EPSG:").and_then(|n| n.parse::<u32>().ok());
-    if epsg.is_some_and(|n| OTHER_MERIDIAN.iter().any(|codes| codes.contains(&n))) {
+fn differs_from_proj(crs: &Crs, definition: &Definition) -> Option<&'static str> {
+    if crs.epsg().is_some_and(counts_from_another_meridian) {
         return Some("a system that counts longitude from another meridian than Greenwich");
     }
     match definition.projection {

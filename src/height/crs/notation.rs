@@ -212,9 +212,17 @@ fn names_its_datum(datum: &Datum) -> bool {
 /// The words of a PROJ string for datum and ellipsoid of a system.
 ///
 /// # Errors
-/// If the system is not known.
+/// If the system is not known, or counts longitude from another meridian than Greenwich, which the words would
+/// lose.
 pub fn datum_words(crs: &Crs) -> Result<String> {
     let definition = crs.definition()?;
+    if crs.epsg().is_some_and(super::counts_from_another_meridian) {
+        return Err(Error::unsupported(
+            &crs.code,
+            "longitude is counted from another meridian than Greenwich",
+            "warp the grid into another system with GDAL first",
+        ));
+    }
     Ok(datum_text(&definition))
 }
 

@@ -65,7 +65,7 @@ impl Transform {
 
 impl Projection {
     fn new(crs: &Crs, definition: &Definition) -> Result<Projection> {
-        if let Some(why) = differs_from_proj(&crs.code, definition) {
+        if let Some(why) = differs_from_proj(crs, definition) {
             return Err(Error::unsupported(
                 &crs.code,
                 why,
