@@ -7,7 +7,7 @@ use super::georef::{
     GeoKeys, KEY_ANGULAR_UNIT, KEY_GEODETIC_CRS, KEY_MODEL_TYPE, MODEL_GEOGRAPHIC, UNIT_DEGREE,
     UNIT_DEGREE_UNSPECIFIED, linear_unit,
 };
-use crate::height::crs::{Crs, Helmert, counts_from_another_meridian, datum_words};
+use crate::height::crs::{Crs, Helmert, counts_from_another_meridian, datum_words, ellipsoid_words};
 
 const KEY_DATUM: u16 = 2050;
 const KEY_PRIME_MERIDIAN: u16 = 2051;
@@ -185,13 +185,7 @@ fn ellipsoid(keys: &GeoKeys, geographic: Option<u32>) -> Result<String, String> 
         Some(code) => return Err(format!("the file's ellipsoid EPSG:{code} is not known and has no axes")),
         None => {
             // A geographic system under a shift of the file's own.
-            let words = geographic.and_then(|code| datum_words(&Crs::from_epsg(code).ok()?).ok());
-            let own = words.as_deref().and_then(|w| match w {
-                "+datum=WGS84" => Some("+ellps=WGS84".to_string()),
-                "+datum=NAD83" => Some("+ellps=GRS80".to_string()),
-                "+datum=NAD27" => Some("+ellps=clrk66".to_string()),
-                w => w.split(" +towgs84").next().map(str::to_string),
-            });
+            let own = geographic.and_then(|code| ellipsoid_words(&Crs::from_epsg(code).ok()?).ok());
             return own.ok_or_else(|| "the file gives no EPSG code for its CRS".to_string());
         }
     };

@@ -17,7 +17,7 @@ mod wkt;
 
 pub use automatic::{automatic, lonlat_bounds};
 pub use datum::{DatumChoice, Helmert};
-pub use notation::datum_words;
+pub use notation::{datum_words, ellipsoid_words};
 pub use transform::Transform;
 
 use crate::base::{Error, Result};
@@ -83,7 +83,8 @@ impl Crs {
     }
 
     /// Equal code, or definitions that put a handful of points (spread over the area of use of the projection)
-    /// at the same place to 1e-6 units, on one datum.
+    /// at the same place to 1e-6 units, on one datum. Two old ellipsoids without a word about the datum are one
+    /// datum only in one and the same text.
     pub fn same_as(&self, other: &Crs) -> bool {
         self.code == other.code || transform::agree(self, other)
     }

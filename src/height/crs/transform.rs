@@ -35,7 +35,10 @@ impl Transform {
     pub fn new(from: &Crs, to: &Crs, choice: &DatumChoice) -> Result<Transform> {
         let (a, b) = (from.definition()?, to.definition()?);
         let what = format!("{} to {}", from.code, to.code);
-        let shift = Shift::between(&what, (&a.datum, a.ellipsoid), (&b.datum, b.ellipsoid), choice)?;
+        let shift = match from.code == to.code {
+            true => Shift::none_on(&a.datum),
+            false => Shift::between(&what, (&a.datum, a.ellipsoid), (&b.datum, b.ellipsoid), choice)?,
+        };
         let description = format!("{what}: {}; {LIBRARY}", shift.text);
         Ok(Transform { from: Projection::new(from, &a)?, to: Projection::new(to, &b)?, shift, description })
     }
