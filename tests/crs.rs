@@ -165,6 +165,50 @@ fn old_datums_want_a_choice() {
     }
 }
 
+/// Transverse Mercator on Bessel's ellipsoid, on a datum that the text names.
+fn named_datum(name: &str, lon0: f64) -> String {
+    format!(
+        r#"PROJCS["x",GEOGCS["{name}",DATUM["{name}",SPHEROID["Bessel 1841",6377397.155,299.1528128]],
+        PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],
+        PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",{lon0}],PARAMETER["scale_factor",1],
+        PARAMETER["false_easting",3500000],PARAMETER["false_northing",0],UNIT["metre",1]]"#
+    )
+}
+
+#[test]
+fn two_old_datums_on_one_ellipsoid_are_two() {
+    let (tokyo, dhdn) = (named_datum("Tokyo", 9.0), named_datum("Deutsches_Hauptdreiecksnetz", 9.0));
+    let [tokyo, dhdn] = [tokyo, dhdn].map(|text| Crs::parse(&text).unwrap());
+    let unnamed = "+proj=tmerc +lon_0=9 +x_0=3500000 +ellps=bessel";
+    let [unnamed, moved] = [unnamed, &unnamed.replace("=9", "=10")].map(|text| Crs::parse(text).unwrap());
+    for (a, b) in [(&tokyo, &dhdn), (&dhdn, &unnamed), (&unnamed, &moved)] {
+        assert!(!a.same_as(b), "{} {}", a.code, b.code);
+        let refused = Transform::new(a, b, &DatumChoice::None).err().unwrap().to_string();
+        assert!(refused.contains("--datum-shift"), "{refused}");
+        let shift = DatumChoice::parse("598.1,73.7,418.2").unwrap();
+        assert!(Transform::new(a, b, &shift).err().unwrap().to_string().contains("'ballpark'"));
+        assert!(Transform::new(a, b, &DatumChoice::Ballpark).unwrap().notes()[0].contains("hundred"));
+    }
+    // What the texts name is kept: the same system as the code's, whatever text it is read from.
+    let code = Crs::from_epsg(31467).unwrap();
+    assert!(dhdn.same_as(&code) && !tokyo.same_as(&code) && !unnamed.same_as(&code));
+    for crs in [&tokyo, &dhdn, &unnamed, &moved] {
+        assert_eq!(&Crs::parse(&crs.code).unwrap(), crs);
+        assert!(crs.same_as(crs));
+        assert!(Transform::new(crs, crs, &DatumChoice::None).unwrap().notes().is_empty());
+    }
+    let turned = Crs::parse(&named_datum("Deutsches_Hauptdreiecksnetz", 10.0)).unwrap();
+    assert!(Transform::new(&turned, &code, &DatumChoice::None).unwrap().description().contains("one datum"));
+    for wrong in
+        ["+ellps=intl +datum_epsg=6314", "+ellps=WGS84 +datum_epsg=6326", "+datum=NAD27 +datum_epsg=6314"]
+    {
+        assert!(Crs::parse(&format!("+proj=longlat {wrong}")).is_err(), "{wrong}");
+    }
+    for wrong in ["0", "x", "-1", "99999999999", "6314 +towgs84=1,2,3"] {
+        assert!(Crs::parse(&format!("+proj=longlat +ellps=bessel +datum_epsg={wrong}")).is_err(), "{wrong}");
+    }
+}
+
 #[test]
 fn systems_that_proj_computes_otherwise_are_refused() {
     let geographic = Crs::from_epsg(4326).unwrap();

@@ -6,7 +6,9 @@
 
 use super::metadata::shorten;
 use super::projection;
-use crate::height::crs::vertical::{FOOT_M, US_FOOT_M, Vertical, unit_metres};
+use crate::base::{Error, Result};
+use crate::height::crs::unit::metres_of_code;
+use crate::height::crs::vertical::{Vertical, unit_metres};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::source::Affine;
 use std::collections::BTreeMap;
@@ -37,9 +39,6 @@ pub const MODEL_PROJECTED: u16 = 1;
 pub const MODEL_GEOGRAPHIC: u16 = 2;
 pub const RASTER_AREA: u16 = 1;
 const RASTER_POINT: u16 = 2;
-const UNIT_METRE: u16 = 9001;
-const UNIT_FOOT: u16 = 9002;
-const UNIT_US_FOOT: u16 = 9003;
 pub const UNIT_DEGREE: u16 = 9102;
 pub const UNIT_DEGREE_UNSPECIFIED: u16 = 9122;
 pub const USER_DEFINED: u16 = 32767;
@@ -190,49 +189,54 @@ pub fn crs(keys: &GeoKeys, notes: &mut Vec<String>) -> Option<Crs> {
             }),
         },
     };
-    let checked = read.and_then(|crs| unit_fault(keys, &crs).map_or(Ok(crs), Err));
+    let checked = read.and_then(|crs| unit_fault(keys, &crs).map(|()| crs));
     checked.map_err(|reason| notes.push(format!("{reason}{says}"))).ok()
 }
 
-/// What is wrong if the file's own unit is not that of its CRS.
-fn unit_fault(keys: &GeoKeys, crs: &Crs) -> Option<String> {
+/// Checks that the file's own unit is that of its CRS; in words what is wrong if not.
+fn unit_fault(keys: &GeoKeys, crs: &Crs) -> std::result::Result<(), String> {
     match crs.unit {
-        AxisUnit::Degree => {
-            let unit = keys.short(KEY_ANGULAR_UNIT).unwrap_or(UNIT_DEGREE);
-            (unit != UNIT_DEGREE && unit != UNIT_DEGREE_UNSPECIFIED)
-                .then(|| format!("the file says {} but counts angles in unit {unit}, not degrees", crs.code))
-        }
-        AxisUnit::Metre(expected) => {
+        AxisUnit::Degree => match keys.short(KEY_ANGULAR_UNIT).unwrap_or(UNIT_DEGREE) {
+            UNIT_DEGREE | UNIT_DEGREE_UNSPECIFIED => Ok(()),
+            unit => Err(format!("the file says {} but counts angles in unit {unit}, not degrees", crs.code)),
+        },
+        AxisUnit::Metre(expected) => match linear_unit(keys)? {
             // One part in a million divides the two feet.
-            let found = linear_unit(keys).filter(|f| (f / expected - 1.0).abs() > 1e-6 || f.is_nan())?;
-            Some(format!(
+            Some(found) if (found / expected - 1.0).abs() > 1e-6 => Err(format!(
                 "the file says {} (unit {expected} m) but its own unit is {found} m; name the CRS",
                 crs.code
-            ))
-        }
+            )),
+            _ => Ok(()),
+        },
     }
 }
 
 /// Metres of the unit of the horizontal axes; None if the file does not say.
-pub fn linear_unit(keys: &GeoKeys) -> Option<f64> {
+///
+/// # Errors
+/// In words for a note: a unit that is stated, and whose size is not known.
+pub fn linear_unit(keys: &GeoKeys) -> std::result::Result<Option<f64>, String> {
     match keys.short(KEY_LINEAR_UNIT) {
-        Some(USER_DEFINED) => keys.double(KEY_LINEAR_UNIT_METRES),
-        unit => unit_of_code(unit?),
-    }
-}
-
-fn unit_of_code(code: u16) -> Option<f64> {
-    match code {
-        UNIT_METRE => Some(1.0),
-        UNIT_FOOT => Some(FOOT_M),
-        UNIT_US_FOOT => Some(US_FOOT_M),
-        _ => None,
+        None | Some(0) => Ok(None),
+        Some(USER_DEFINED) => match keys.double(KEY_LINEAR_UNIT_METRES) {
+            Some(metres) if metres.is_finite() && metres > 0.0 => Ok(Some(metres)),
+            Some(metres) => Err(format!("the file counts lengths in a unit of its own of {metres} m")),
+            None => {
+                Err("the file counts lengths in a unit of its own and does not say how long it is".into())
+            }
+        },
+        Some(code) => metres_of_code(code).map(Some).ok_or_else(|| {
+            format!("the file counts lengths in unit EPSG:{code}, whose size in metres is not known")
+        }),
     }
 }
 
 /// What the file says of its heights: vertical keys, else the compound or three-dimensional code, else ESRI's
 /// WKT; the unit of the band (GDAL's) comes first.
-pub fn vertical(keys: &GeoKeys, band_unit: Option<&str>) -> Vertical {
+///
+/// # Errors
+/// [`Error::Unsupported`] if the vertical keys state a unit whose size is not known and nothing else gives it.
+pub fn vertical(keys: &GeoKeys, band_unit: Option<&str>, file: &str) -> Result<Vertical> {
     // Codes of GeoTIFF 1.0, before they were EPSG's: 5001 to 5033 are heights over an ellipsoid.
     let by_code = |code: u16| match code {
         5001..=5033 => Some(Vertical { datum: Some("ellipsoid".to_string()), unit_m: None }),
@@ -246,21 +250,85 @@ pub fn vertical(keys: &GeoKeys, band_unit: Option<&str>) -> Vertical {
         .find_map(by_code)
         .or_else(|| keys.esri_text().map(Vertical::of_text))
         .unwrap_or_default();
-    let by_key = keys.short(KEY_VERTICAL_UNIT).and_then(unit_of_code);
+    let stated = keys.short(KEY_VERTICAL_UNIT).filter(|code| *code != 0);
+    let by_key = stated.and_then(metres_of_code);
     vertical.unit_m = band_unit.and_then(unit_metres).or(by_key).or(vertical.unit_m);
-    vertical
+    match (stated, vertical.unit_m) {
+        (Some(code), None) => Err(Error::unsupported(
+            file,
+            format!("its heights are in unit {code} of EPSG, whose size in metres is not known"),
+            "write the true unit into a copy of the file (gdal_edit.py -units m), or the heights in metres",
+        )),
+        _ => Ok(vertical),
+    }
 }
 
 /// A note if the file says that heights are not in metres.
 pub fn height_unit_note(keys: &GeoKeys, unit: Option<&str>) -> Option<String> {
-    let by_key = match keys.shorts.get(&KEY_VERTICAL_UNIT) {
-        Some(&UNIT_FOOT) => Some("feet"),
-        Some(&UNIT_US_FOOT) => Some("US survey feet"),
-        _ => None,
-    };
-    let metres = ["m", "metre", "meter", "metres", "meters"];
-    let by_tag = unit.filter(|u| !metres.contains(&u.to_ascii_lowercase().as_str()));
-    by_tag.or(by_key).map(|unit| {
-        format!("the file gives heights in '{unit}'; --vertical-unit says otherwise if that is wrong")
-    })
+    if let Some(unit) = unit {
+        return match unit_metres(unit) {
+            Some(1.0) => None,
+            Some(_) => Some(format!(
+                "the file gives heights in '{unit}'; --vertical-unit says otherwise if that is wrong"
+            )),
+            None => Some(format!(
+                "the file gives heights in '{unit}', which is no known unit; --vertical-unit says which it is"
+            )),
+        };
+    }
+    let metres = keys.short(KEY_VERTICAL_UNIT).and_then(metres_of_code).filter(|m| *m != 1.0)?;
+    Some(format!(
+        "the file gives heights in units of {metres} m; --vertical-unit says otherwise if that is wrong"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys(shorts: &[(u16, u16)]) -> GeoKeys {
+        let mut keys = GeoKeys::default();
+        keys.shorts.extend(shorts.iter().copied());
+        keys
+    }
+
+    #[test]
+    fn units_that_are_stated_are_known_or_refused() {
+        let utm = |unit: u16| keys(&[(1024, 1), (3072, 32610), (3076, unit)]);
+        let laea = |unit: u16| keys(&[(1024, 1), (2048, 4326), (3072, 32767), (3075, 10), (3076, unit)]);
+        let read = |keys: &GeoKeys| {
+            let mut notes = Vec::new();
+            (crs(keys, &mut notes), notes.concat())
+        };
+        assert_eq!(read(&utm(9001)).0.unwrap().code, "EPSG:32610");
+        let (found, note) = read(&utm(9036));
+        assert!(found.is_none() && note.contains("its own unit is 1000 m"), "{note}");
+        for (code, metres) in [(9036, 1000.0), (9005, 0.3047972654), (9093, 1609.344)] {
+            assert_eq!(read(&laea(code)).0.unwrap().unit, AxisUnit::Metre(metres), "{code}");
+        }
+        for code in [32767, 9101, 9999] {
+            for keys in [utm(code), laea(code)] {
+                let (found, note) = read(&keys);
+                assert!(found.is_none() && note.contains("counts lengths in"), "{code}: {note}");
+            }
+        }
+        let mut own = laea(32767);
+        own.doubles.insert(KEY_LINEAR_UNIT_METRES, vec![f64::NAN]);
+        assert!(read(&own).0.is_none());
+        own.doubles.insert(KEY_LINEAR_UNIT_METRES, vec![0.25]);
+        assert_eq!(read(&own).0.unwrap().unit, AxisUnit::Metre(0.25));
+    }
+
+    #[test]
+    fn units_of_height_that_are_stated_are_known_or_refused() {
+        let of = |unit: u16, band: Option<&str>| vertical(&keys(&[(4099, unit)]), band, "file");
+        assert_eq!(of(9036, None).unwrap().unit_m, Some(1000.0));
+        assert_eq!(of(9014, None).unwrap().unit_m, Some(1.8288));
+        assert_eq!(of(0, None).unwrap().unit_m, None);
+        assert_eq!(of(32767, Some("ft")).unwrap().unit_m, Some(0.3048));
+        for unit in [32767, 9101] {
+            let text = of(unit, None).unwrap_err().to_string();
+            assert!(text.contains("file") && text.contains(&unit.to_string()), "{text}");
+        }
+    }
 }

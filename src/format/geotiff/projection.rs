@@ -7,7 +7,7 @@ use super::georef::{
     GeoKeys, KEY_ANGULAR_UNIT, KEY_GEODETIC_CRS, KEY_MODEL_TYPE, MODEL_GEOGRAPHIC, UNIT_DEGREE,
     UNIT_DEGREE_UNSPECIFIED, linear_unit,
 };
-use crate::height::crs::{Crs, Helmert, datum_words};
+use crate::height::crs::{Crs, Helmert, counts_from_another_meridian, datum_words, ellipsoid_words};
 
 const KEY_DATUM: u16 = 2050;
 const KEY_PRIME_MERIDIAN: u16 = 2051;
@@ -58,7 +58,7 @@ pub fn proj_string(keys: &GeoKeys) -> Result<String, String> {
         }
         None => method(keys)?,
     };
-    let unit = linear_unit(keys).unwrap_or(1.0);
+    let unit = linear_unit(keys)?.unwrap_or(1.0);
     Ok(format!("{projection} {datum} +to_meter={unit}"))
 }
 
@@ -68,7 +68,7 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
     if angle != UNIT_DEGREE && angle != UNIT_DEGREE_UNSPECIFIED {
         return Err(format!("the file's CRS counts angles in unit {angle}, not degrees"));
     }
-    let unit = linear_unit(keys).unwrap_or(1.0);
+    let unit = linear_unit(keys)?.unwrap_or(1.0);
     // The first key that is there, in the order in which GDAL asks.
     let first = |order: &[u16]| order.iter().find_map(|key| keys.double(*key));
     let or_zero = |order: &[u16]| first(order).unwrap_or(0.0);
@@ -133,8 +133,13 @@ fn method(keys: &GeoKeys) -> Result<String, String> {
 
 /// Datum and ellipsoid as PROJ words.
 fn datum(keys: &GeoKeys) -> Result<String, String> {
-    let meridian = keys.code(KEY_PRIME_MERIDIAN).is_some_and(|code| code != GREENWICH);
-    if meridian || keys.double(KEY_PRIME_MERIDIAN_LONGITUDE).is_some_and(|lon| lon != 0.0) {
+    // Datum codes 6001 to 6999 were those of the geographic systems, moved by 2000.
+    let code = keys.code(KEY_GEODETIC_CRS).map(u32::from).or_else(|| {
+        keys.code(KEY_DATUM).map(u32::from).filter(|code| (6001..7000).contains(code)).map(|code| code - 2000)
+    });
+    let meridian = keys.code(KEY_PRIME_MERIDIAN).is_some_and(|code| code != GREENWICH)
+        || keys.double(KEY_PRIME_MERIDIAN_LONGITUDE).is_some_and(|lon| lon != 0.0);
+    if meridian || code.is_some_and(counts_from_another_meridian) {
         return Err("the file's CRS counts longitude from another meridian than Greenwich".to_string());
     }
     let shift = match keys.numbers(KEY_TO_WGS84) {
@@ -145,10 +150,6 @@ fn datum(keys: &GeoKeys) -> Result<String, String> {
             Some(helmert.ok_or("the file's shift to WGS 84 has neither 3 nor 7 numbers")?)
         }
     };
-    // Datum codes 6001 to 6999 were those of the geographic systems, moved by 2000.
-    let code = keys.code(KEY_GEODETIC_CRS).map(u32::from).or_else(|| {
-        keys.code(KEY_DATUM).map(u32::from).filter(|code| (6001..7000).contains(code)).map(|code| code - 2000)
-    });
     if let (Some(code), None) = (code, &shift) {
         let crs = Crs::from_epsg(code).map_err(|e| format!("the file's geographic system: {e}"))?;
         return datum_words(&crs).map_err(|e| format!("the file's geographic system: {e}"));
@@ -184,13 +185,7 @@ fn ellipsoid(keys: &GeoKeys, geographic: Option<u32>) -> Result<String, String> 
         Some(code) => return Err(format!("the file's ellipsoid EPSG:{code} is not known and has no axes")),
         None => {
             // A geographic system under a shift of the file's own.
-            let words = geographic.and_then(|code| datum_words(&Crs::from_epsg(code).ok()?).ok());
-            let own = words.as_deref().and_then(|w| match w {
-                "+datum=WGS84" => Some("+ellps=WGS84".to_string()),
-                "+datum=NAD83" => Some("+ellps=GRS80".to_string()),
-                "+datum=NAD27" => Some("+ellps=clrk66".to_string()),
-                w => w.split(" +towgs84").next().map(str::to_string),
-            });
+            let own = geographic.and_then(|code| ellipsoid_words(&Crs::from_epsg(code).ok()?).ok());
             return own.ok_or_else(|| "the file gives no EPSG code for its CRS".to_string());
         }
     };
@@ -222,6 +217,12 @@ mod tests {
         assert_eq!(code(&shorts, &[(2062, &shift)]), expected);
         assert!(code(&shorts, &[(2062, &shift[..4])]).contains("neither 3 nor 7"));
         assert!(code(&[(1024, 2), (2051, 8903)], &[]).contains("Greenwich"));
+        // Rome, by the code of the system; Jakarta, by that of the datum, with a shift and without.
+        let rome = [(1024, 1), (2048, 4806), (3072, 32767), (3074, 32767), (3075, 1), (3076, 9001)];
+        assert!(code(&rome, &[]).contains("Greenwich"));
+        let jakarta = [(1024, 2), (2048, 32767), (2050, 6813), (2054, 9102), (2056, 7004)];
+        assert!(code(&jakarta, &[]).contains("Greenwich"));
+        assert!(code(&jakarta, &[(2062, &shift)]).contains("Greenwich"));
     }
 
     #[test]

@@ -104,7 +104,7 @@ impl GeoTiff {
         let crs = georef::crs(&keys, &mut notes);
         let text = |tag| ifd.tag(tag).and_then(|t| t.value.as_str());
         let band = parse_band_metadata(text(TAG_GDAL_METADATA).unwrap_or(""), &mut notes);
-        let vertical = georef::vertical(&keys, band.unit.as_deref());
+        let vertical = georef::vertical(&keys, band.unit.as_deref(), &file)?;
         notes.extend(georef::height_unit_note(&keys, band.unit.as_deref()));
         let nodata = match text(TAG_GDAL_NODATA) {
             None => None,

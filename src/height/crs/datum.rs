@@ -189,13 +189,14 @@ impl Datum {
         matches!(self, Datum::Modern { .. } | Datum::Unnamed { modern: true })
     }
 
-    /// One and the same datum; the ellipsoids are compared elsewhere.
+    /// One and the same datum; the ellipsoids are compared elsewhere. Of two nameless datums on an old ellipsoid
+    /// nobody knows: on Bessel's there are dozens, hundreds of metres apart.
     pub fn same(&self, other: &Datum) -> bool {
         match (self, other) {
             (Datum::Old { code: x, .. }, Datum::Old { code: y, .. })
             | (Datum::Modern { code: x, .. }, Datum::Modern { code: y, .. }) => x == y,
             (Datum::Declared(x), Datum::Declared(y)) => x == y,
-            (Datum::Unnamed { modern: x }, Datum::Unnamed { modern: y }) => x == y,
+            (Datum::Unnamed { modern: x }, Datum::Unnamed { modern: y }) => *x && *y,
             _ => false,
         }
     }
@@ -222,6 +223,11 @@ pub(super) struct Shift {
 }
 
 impl Shift {
+    /// Between two systems on one datum.
+    pub fn none_on(datum: &Datum) -> Shift {
+        Shift { up: None, down: None, text: format!("one datum ({})", datum.words()), notes: Vec::new() }
+    }
+
     /// # Errors
     /// If nobody states the shift, or the user's choice does not fit the two datums.
     pub fn between(
@@ -233,7 +239,7 @@ impl Shift {
         let none = |text: String, notes: Vec<String>| Shift { up: None, down: None, text, notes };
         let (a, b) = (from.words(), to.words());
         if from.same(to) && from_ellipsoid.same(to_ellipsoid) {
-            return Ok(none(format!("one datum ({a})"), Vec::new()));
+            return Ok(Shift::none_on(from));
         }
         if from.is_modern() && to.is_modern() {
             let within = [from, to]

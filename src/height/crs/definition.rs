@@ -21,6 +21,10 @@ impl Ellipsoid {
     pub const WGS84: Ellipsoid = Ellipsoid { a: 6378137.0, f: 1.0 / 298.257223563 };
     const GRS80: Ellipsoid = Ellipsoid { a: 6378137.0, f: 1.0 / 298.257222101 };
 
+    pub fn of(datum: &proj_core::Datum) -> Ellipsoid {
+        Ellipsoid { a: datum.ellipsoid().semi_major_axis(), f: datum.ellipsoid().flattening() }
+    }
+
     /// Equal but for rounding: within a millimetre in size, and in flattening closer than WGS 84 and GRS 1980 are
     /// (1.6e-11).
     pub fn same(self, other: Ellipsoid) -> bool {
@@ -71,7 +75,7 @@ impl Definition {
             (None, None) => return Err(no_map()),
         };
         let core = crs.datum();
-        let ellipsoid = Ellipsoid { a: core.ellipsoid().semi_major_axis(), f: core.ellipsoid().flattening() };
+        let ellipsoid = Ellipsoid::of(core);
         let declared = match core.to_wgs84() {
             DatumToWgs84::Helmert(h) if core.epsg() == 0 => Some(Helmert {
                 shift_m: [h.dx(), h.dy(), h.dz()],
@@ -125,7 +129,7 @@ impl Definition {
 }
 
 impl Definition {
-    /// On one datum, as far as the texts say: equal, or both taken as WGS 84.
+    /// On one datum, for certain: named or declared alike, or both nameless on a modern ellipsoid.
     pub fn same_datum(&self, other: &Definition) -> bool {
         self.ellipsoid.same(other.ellipsoid) && self.datum.same(&other.datum)
     }

@@ -11,12 +11,13 @@ pub mod geoid;
 mod notation;
 mod own;
 mod transform;
+pub mod unit;
 pub mod vertical;
 mod wkt;
 
 pub use automatic::{automatic, lonlat_bounds};
 pub use datum::{DatumChoice, Helmert};
-pub use notation::datum_words;
+pub use notation::{datum_words, ellipsoid_words};
 pub use transform::Transform;
 
 use crate::base::{Error, Result};
@@ -82,7 +83,8 @@ impl Crs {
     }
 
     /// Equal code, or definitions that put a handful of points (spread over the area of use of the projection)
-    /// at the same place to 1e-6 units, on one datum.
+    /// at the same place to 1e-6 units, on one datum. Two old ellipsoids without a word about the datum are one
+    /// datum only in one and the same text.
     pub fn same_as(&self, other: &Crs) -> bool {
         self.code == other.code || transform::agree(self, other)
     }
@@ -90,6 +92,10 @@ impl Crs {
     /// Longitude and latitude next to the middle of what the system is made for, degrees: its projection's origin.
     pub fn middle(&self) -> Result<[f64; 2]> {
         Ok(self.definition()?.middle())
+    }
+
+    fn epsg(&self) -> Option<u32> {
+        self.code.strip_prefix("EPSG:").and_then(|n| n.parse().ok())
     }
 
     fn definition(&self) -> Result<Definition> {
@@ -155,10 +161,14 @@ const OTHER_MERIDIAN: [std::ops::RangeInclusive<u32>; 24] = [
     31281..=31293,
 ];
 
+/// Whether an EPSG system counts longitude from another meridian than Greenwich.
+pub fn counts_from_another_meridian(epsg: u32) -> bool {
+    OTHER_MERIDIAN.iter().any(|codes| codes.contains(&epsg))
+}
+
 /// Why a system must not be transformed: proj-core and PROJ compute it differently.
-fn differs_from_proj(code: &str, definition: &Definition) -> Option<&'static str> {
-    let epsg = code.strip_prefix("EPSG:").and_then(|n| n.parse::<u32>().ok());
-    if epsg.is_some_and(|n| OTHER_MERIDIAN.iter().any(|codes| codes.contains(&n))) {
+fn differs_from_proj(crs: &Crs, definition: &Definition) -> Option<&'static str> {
+    if crs.epsg().is_some_and(counts_from_another_meridian) {
         return Some("a system that counts longitude from another meridian than Greenwich");
     }
     match definition.projection {

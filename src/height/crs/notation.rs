@@ -102,8 +102,16 @@ fn proj_string(text: &str) -> Result<(String, Definition)> {
     canonical(text, definition)
 }
 
+/// Names an old datum by its EPSG code, as PROJ strings cannot. PROJ passes over words it does not know, so
+/// the rest of the text means the same to it.
+const DATUM_CODE: &str = "+datum_epsg=";
+
 /// The definition of a PROJ string without PROJ's own peculiarities.
 pub(super) fn core_of(text: &str) -> Result<Definition> {
+    if let Some(code) = text.split_whitespace().find_map(|w| w.strip_prefix(DATUM_CODE)) {
+        let rest: Vec<&str> = text.split_whitespace().filter(|w| !w.starts_with(DATUM_CODE)).collect();
+        return with_old_datum(text, code, core_of(&rest.join(" "))?);
+    }
     if let Some(own) = own::read(text)? {
         return Ok(own);
     }
@@ -114,6 +122,22 @@ pub(super) fn core_of(text: &str) -> Result<Definition> {
         0 => Definition::from_core(text, &core),
         n => epsg_definition(n),
     }
+}
+
+/// The definition, which has an ellipsoid and no datum, on the datum with this code.
+fn with_old_datum(text: &str, code: &str, definition: Definition) -> Result<Definition> {
+    let wrong = |reason: String| Error::invalid(text, format!("{DATUM_CODE}{code}: {reason}"));
+    let known = code.parse().ok().and_then(|n| Some((n, proj_core::lookup_datum_epsg(n)?)));
+    let (code, core) = known.ok_or_else(|| wrong("no datum of the EPSG registry this build knows".into()))?;
+    let ellipsoid = Ellipsoid::of(&core);
+    if !matches!(definition.datum, Datum::Unnamed { .. }) || !ellipsoid.same(definition.ellipsoid) {
+        return Err(wrong("the text states another datum or ellipsoid".into()));
+    }
+    let datum = Datum::new(code, None, None, false, ellipsoid);
+    if !matches!(datum, Datum::Old { .. }) {
+        return Err(wrong("only for old datums; leave it out or name the datum with +datum".into()));
+    }
+    Ok(Definition { datum, ..definition })
 }
 
 fn wkt_text(text: &str) -> Result<(String, Definition)> {
@@ -209,12 +233,29 @@ fn names_its_datum(datum: &Datum) -> bool {
     matches!(datum, Datum::Modern { code: 6326 | 6269, .. } | Datum::Old { code: 6267, .. })
 }
 
-/// The words of a PROJ string for datum and ellipsoid of a system.
+/// The words of a PROJ string for the ellipsoid of a system alone.
 ///
 /// # Errors
 /// If the system is not known.
+pub fn ellipsoid_words(crs: &Crs) -> Result<String> {
+    crs.definition().map(|definition| ellipsoid(definition.ellipsoid))
+}
+
+/// The words of a PROJ string for datum and ellipsoid of a system; an old datum that PROJ has no word for stands
+/// there with its EPSG code (`+datum_epsg=n`).
+///
+/// # Errors
+/// If the system is not known, or counts longitude from another meridian than Greenwich, which the words would
+/// lose.
 pub fn datum_words(crs: &Crs) -> Result<String> {
     let definition = crs.definition()?;
+    if crs.epsg().is_some_and(super::counts_from_another_meridian) {
+        return Err(Error::unsupported(
+            &crs.code,
+            "longitude is counted from another meridian than Greenwich",
+            "warp the grid into another system with GDAL first",
+        ));
+    }
     Ok(datum_text(&definition))
 }
 
@@ -256,7 +297,8 @@ fn datum_text(d: &Definition) -> String {
             let ([x, y, z], [rx, ry, rz], s) = (h.shift_m, h.turn_arcsec, h.scale_ppm);
             format!("{} +towgs84={x},{y},{z},{rx},{ry},{rz},{s}", ellipsoid(d.ellipsoid))
         }
-        Datum::Old { .. } | Datum::Unnamed { .. } => ellipsoid(d.ellipsoid),
+        Datum::Old { code, .. } => format!("{} {DATUM_CODE}{code}", ellipsoid(d.ellipsoid)),
+        Datum::Unnamed { .. } => ellipsoid(d.ellipsoid),
     }
 }
 

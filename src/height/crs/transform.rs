@@ -35,7 +35,10 @@ impl Transform {
     pub fn new(from: &Crs, to: &Crs, choice: &DatumChoice) -> Result<Transform> {
         let (a, b) = (from.definition()?, to.definition()?);
         let what = format!("{} to {}", from.code, to.code);
-        let shift = Shift::between(&what, (&a.datum, a.ellipsoid), (&b.datum, b.ellipsoid), choice)?;
+        let shift = match from.code == to.code {
+            true => Shift::none_on(&a.datum),
+            false => Shift::between(&what, (&a.datum, a.ellipsoid), (&b.datum, b.ellipsoid), choice)?,
+        };
         let description = format!("{what}: {}; {LIBRARY}", shift.text);
         Ok(Transform { from: Projection::new(from, &a)?, to: Projection::new(to, &b)?, shift, description })
     }
@@ -65,7 +68,7 @@ impl Transform {
 
 impl Projection {
     fn new(crs: &Crs, definition: &Definition) -> Result<Projection> {
-        if let Some(why) = differs_from_proj(&crs.code, definition) {
+        if let Some(why) = differs_from_proj(crs, definition) {
             return Err(Error::unsupported(
                 &crs.code,
                 why,
