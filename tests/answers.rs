@@ -396,6 +396,7 @@ fn write_tif(path: &Path, epsg: u32, affine: Affine, cols: usize, z: &[f32]) {
         nodata: None,
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: None,
     };
     let mut out = GeoTiffWriter::create(path, spec).unwrap();
     let data: Vec<u8> = z.iter().flat_map(|v| v.to_le_bytes()).collect();

@@ -48,6 +48,7 @@ impl Picture {
             nodata: None,
             scale: 1.0,
             offset: 0.0,
+            vertical_datum: None,
         };
         let mut out = GeoTiffWriter::create(path, spec).unwrap();
         for j in 0..self.side {

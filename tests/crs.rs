@@ -1,6 +1,6 @@
 //! Coordinates: against values of PROJ, and what is refused; heights over geoids.
 
-use crate::support::shared;
+use crate::support::{printed, shared};
 use std::sync::Arc;
 use terraquilt::base::Result;
 use terraquilt::format;
@@ -372,6 +372,7 @@ fn the_same_grid_as_geotiff() {
         nodata: None,
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: None,
     };
     let rows: Vec<u8> = (0..10)
         .rev()
@@ -463,8 +464,60 @@ fn heights_are_lifted_post_by_post() {
     assert_eq!(back.info().vertical_datum.as_deref(), Some("EPSG:5773"));
     let again = back.read(Window { col: 1, row: 0, cols: 1, rows: 1 }).unwrap();
     assert!((SampleType::F32.value(&again.data) - 60.0 * US_FOOT_M).abs() < 1e-5);
+    // Heights that begin elsewhere than the way are not moved.
+    let from = |datum: Option<&str>, lift: &Lift| {
+        let mut slope = Slope::at(origin);
+        slope.info.vertical_datum = datum.map(str::to_string);
+        Lifted::new(slope, &utm, 1.0, geoid.clone(), lift)
+    };
+    let onto = Lift::ToGeoid(VerticalDatum::parse("egm96").unwrap());
+    for (datum, lift) in [("ellipsoid", &Lift::ToEllipsoid), ("EPSG:5773", &onto), ("City zero", &onto)] {
+        let text = from(Some(datum), lift).err().unwrap().to_string();
+        assert!(text.contains(datum) && text.contains("--geoid"), "{text}");
+    }
+    for (lift, word) in [(&Lift::ToEllipsoid, "over a geoid"), (&onto, "over the ellipsoid")] {
+        let unsaid = from(None, lift).unwrap();
+        assert!(unsaid.info().notes.iter().any(|n| n.contains(word)), "{:?}", unsaid.info().notes);
+    }
     // Beyond the grid: both rectangles are named.
     let beyond = Lifted::new(Slope::at([700000.0, 5300000.0]), &utm, 1.0, geoid, &Lift::ToEllipsoid);
     let text = beyond.err().unwrap().to_string();
     assert!(text.contains("5.0000 to 10.5000") && text.contains("covers the file"), "{text}");
+}
+
+#[test]
+fn what_heights_count_from_goes_out_with_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let file = path("h.tif");
+    for (i, datum) in ["EPSG:5703", "ellipsoid", "Zürich, old gauge"].into_iter().enumerate() {
+        let (first, second) = (path(&format!("a{i}")), path(&format!("b{i}")));
+        let spec = format::geotiff::GeoTiffSpec {
+            cols: 20,
+            rows: 20,
+            sample_type: SampleType::I16,
+            affine: Some(Affine { origin: [500000.0, 4e6], col_step: [30.0, 0.0], row_step: [0.0, -30.0] }),
+            crs: Some(Crs::from_epsg(32610).unwrap()),
+            nodata: None,
+            scale: 0.3048,
+            offset: 0.0,
+            vertical_datum: None,
+        };
+        let data: Vec<u8> = (0..400i16).flat_map(|v| (v % 23).to_le_bytes()).collect();
+        let mut writer = format::geotiff::GeoTiffWriter::create(std::path::Path::new(&file), spec).unwrap();
+        writer.write_rows(0, &data).unwrap();
+        writer.finish().unwrap();
+        for (db, said) in [(&first, &["--vertical-datum", datum][..]), (&second, &[])] {
+            printed(&["init", db, "--crs", "EPSG:32610"]);
+            printed(&[&["ingest", db.as_str(), &file, "--name", "s", "--accuracy", "1"], said].concat());
+            printed(&["export", &first, &file, "--survey", "s"]);
+        }
+        assert_eq!(printed(&["fingerprint", &first]), printed(&["fingerprint", &second]), "{datum}");
+        // So do those of the surface.
+        printed(&["export", &first, &file, "--error", "0"]);
+        let source = format::open(std::path::Path::new(&file)).unwrap();
+        assert_eq!(source.info().vertical_datum.as_deref(), Some(datum));
+        assert_eq!(source.info().vertical_unit_m, Some(1.0));
+        assert_eq!(source.info().crs.as_ref().map(|c| c.code.as_str()), Some("EPSG:32610"));
+    }
 }

@@ -29,6 +29,7 @@ fn write_hills(path: &Path, side: usize, east: f64, seed: u64) {
         nodata: Some("-32768".into()),
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: None,
     };
     let mut out = GeoTiffWriter::create(path, spec).unwrap();
     for j in 0..side {

@@ -185,6 +185,7 @@ fn write_grid(
         nodata: Some("nan".into()),
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: None,
     };
     let mut out = GeoTiffWriter::create(&file, spec).unwrap();
     let bytes: Vec<u8> = z.iter().flat_map(|v| v.to_le_bytes()).collect();

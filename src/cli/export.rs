@@ -246,6 +246,7 @@ fn tif(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64>
         nodata: Some("nan".into()),
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: db::vertical_datum(s)?,
     };
     let mut error = 0.0;
     let meter = Meter::new();
@@ -333,6 +334,7 @@ fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<(
         nodata,
         scale,
         offset,
+        vertical_datum: raw.declaration.vertical_datum.clone(),
     };
     let mut masked = 0;
     write_whole(path, |p| {

@@ -110,6 +110,20 @@ pub fn surveys(s: &Snapshot) -> Result<Vec<SurveyRow>> {
         .collect()
 }
 
+/// What the heights of a version count from: the one datum that its surveys name. None if nobody said, or surveys
+/// differ.
+pub fn vertical_datum(s: &Snapshot) -> Result<Option<String>> {
+    let mut one: Option<String> = None;
+    for e in s.entries() {
+        let Some(own) = s.view.head(e.number)?.declaration.vertical_datum.clone() else { continue };
+        if one.as_ref().is_some_and(|o| *o != own) {
+            return Ok(None);
+        }
+        one = Some(own);
+    }
+    Ok(one)
+}
+
 /// One patch as exact integers, for independent checking.
 #[derive(Clone, Debug, Serialize)]
 pub struct BoxRow {

@@ -53,7 +53,7 @@ pub use database::{Db, Options, Policy, Snapshot};
 pub use export::{OwnPosts, RawTile, own_posts, read_tile};
 pub use fingerprint::fingerprint;
 pub use head::{Declaration, Delivered, Head, Resampled, Tile};
-pub use listing::{BoxRow, Info, SurveyRow, TreeNode, boxes, info, surveys, tree};
+pub use listing::{BoxRow, Info, SurveyRow, TreeNode, boxes, info, surveys, tree, vertical_datum};
 pub use provenance::{Provenance, Share};
 pub use prune::PruneOutcome;
 pub use rebuild::{RebuildOutcome, rebuild, rebuild_on};

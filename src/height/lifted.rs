@@ -38,10 +38,13 @@ pub struct Lifted {
 const NET: u64 = 16;
 
 impl Lifted {
-    /// `crs`: of the file's positions; `unit_m`: metres of one unit of its heights.
+    /// `crs`: of the file's positions; `unit_m`: metres of one unit of its heights. The result counts from the
+    /// ellipsoid or the named datum, which is compared between surveys; name and digest of the grid stand in its
+    /// notes.
     ///
     /// # Errors
-    /// If the file has no georeference, or the grid does not cover it: with both rectangles.
+    /// If the file says that its heights count from elsewhere than the way begins (one that says nothing is taken
+    /// as the user means it, with a note), if it has no georeference, or the grid does not cover it: with both rectangles.
     pub fn new(
         source: Box<dyn HeightSource>,
         crs: &Crs,
@@ -50,6 +53,7 @@ impl Lifted {
         lift: &Lift,
     ) -> Result<Lifted> {
         let mut info = source.info().clone();
+        info.notes.extend(start_of(&info, lift)?);
         let affine = info.affine.ok_or_else(|| {
             Error::invalid(&info.file, "without a georeference its heights cannot be moved to another datum")
         })?;
@@ -148,6 +152,29 @@ impl Lifted {
             }
         }
         Ok(out)
+    }
+}
+
+/// Checks that the heights begin where the way does; a note if the file does not say where.
+fn start_of(info: &SourceInfo, lift: &Lift) -> Result<Option<String>> {
+    let said = info.vertical_datum.as_deref();
+    let (begins, words, remedy) = match lift {
+        Lift::ToEllipsoid => (said != Some("ellipsoid"), "a geoid", "leave --geoid out"),
+        Lift::ToGeoid(_) => (
+            said.is_none_or(|d| d == "ellipsoid"),
+            "the ellipsoid",
+            "leave --geoid and --onto out; or take it to the ellipsoid first, by the grid of its own geoid",
+        ),
+    };
+    match said {
+        None => Ok(Some(format!(
+            "the file does not say what its heights count from; with --geoid they are taken as over {words}"
+        ))),
+        Some(datum) if !begins => Err(Error::invalid(
+            &info.file,
+            format!("its heights count from {datum}, and the way of --geoid begins at {words}; {remedy}"),
+        )),
+        Some(_) => Ok(None),
     }
 }
 

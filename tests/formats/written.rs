@@ -35,6 +35,7 @@ fn spec(cols: u64, rows: u64, sample_type: SampleType) -> GeoTiffSpec {
         nodata: None,
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: None,
     }
 }
 

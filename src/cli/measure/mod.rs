@@ -124,6 +124,7 @@ fn write_raster(
         nodata: Some("nan".into()),
         scale: 1.0,
         offset: 0.0,
+        vertical_datum: None,
     };
     write_whole(path, |p| {
         let mut out = GeoTiffWriter::create(p, spec)?;

@@ -8,7 +8,7 @@ use super::metadata::shorten;
 use super::projection;
 use crate::base::{Error, Result};
 use crate::height::crs::unit::metres_of_code;
-use crate::height::crs::vertical::{Vertical, unit_metres};
+use crate::height::crs::vertical::{Vertical, VerticalDatum, unit_metres};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::source::Affine;
 use std::collections::BTreeMap;
@@ -31,14 +31,16 @@ pub const KEY_PROJECTED_CRS: u16 = 3072;
 pub const KEY_PROJECTED_CITATION: u16 = 3073;
 pub const KEY_LINEAR_UNIT: u16 = 3076;
 pub const KEY_LINEAR_UNIT_METRES: u16 = 3077;
-const KEY_VERTICAL_CRS: u16 = 4096;
-const KEY_VERTICAL_DATUM: u16 = 4098;
-const KEY_VERTICAL_UNIT: u16 = 4099;
+pub const KEY_VERTICAL_CRS: u16 = 4096;
+pub const KEY_VERTICAL_CITATION: u16 = 4097;
+pub const KEY_VERTICAL_DATUM: u16 = 4098;
+pub const KEY_VERTICAL_UNIT: u16 = 4099;
 
 pub const MODEL_PROJECTED: u16 = 1;
 pub const MODEL_GEOGRAPHIC: u16 = 2;
 pub const RASTER_AREA: u16 = 1;
 const RASTER_POINT: u16 = 2;
+pub const UNIT_METRE: u16 = 9001;
 pub const UNIT_DEGREE: u16 = 9102;
 pub const UNIT_DEGREE_UNSPECIFIED: u16 = 9122;
 pub const USER_DEFINED: u16 = 32767;
@@ -113,6 +115,14 @@ impl GeoKeys {
             .filter_map(|key| self.texts.get(&key))
             .filter(|text| text.starts_with("ESRI:") || text.starts_with("+proj="))
             .find_map(|text| Crs::parse(text).ok())
+    }
+
+    /// The name of a vertical system that is user-defined: how this program writes a datum without a code.
+    fn named_heights(&self) -> Option<Vertical> {
+        let own = self.short(KEY_VERTICAL_CRS) == Some(USER_DEFINED);
+        let name = self.texts.get(&KEY_VERTICAL_CITATION).filter(|text| own && *text != "unknown")?;
+        let datum = VerticalDatum::parse(name).ok()?;
+        Some(Vertical { datum: Some(datum.as_str().to_string()), unit_m: None })
     }
 
     /// What the file says of its CRS in words.
@@ -231,7 +241,7 @@ pub fn linear_unit(keys: &GeoKeys) -> std::result::Result<Option<f64>, String> {
     }
 }
 
-/// What the file says of its heights: vertical keys, else the compound or three-dimensional code, else ESRI's
+/// What the file says of its heights: vertical keys (the code, else the name), else the compound or three-dimensional code, else ESRI's
 /// WKT; the unit of the band (GDAL's) comes first.
 ///
 /// # Errors
@@ -243,11 +253,10 @@ pub fn vertical(keys: &GeoKeys, band_unit: Option<&str>, file: &str) -> Result<V
         5103 => Some(Vertical { datum: Some("EPSG:5703".to_string()), unit_m: None }),
         code => Vertical::from_epsg(u32::from(code)),
     };
-    let stated = [KEY_VERTICAL_CRS, KEY_VERTICAL_DATUM, KEY_PROJECTED_CRS, KEY_GEODETIC_CRS];
-    let mut vertical = stated
-        .into_iter()
-        .filter_map(|key| keys.code(key))
-        .find_map(by_code)
+    let first_of = |stated: [u16; 2]| stated.into_iter().filter_map(|key| keys.code(key)).find_map(by_code);
+    let mut vertical = first_of([KEY_VERTICAL_CRS, KEY_VERTICAL_DATUM])
+        .or_else(|| keys.named_heights())
+        .or_else(|| first_of([KEY_PROJECTED_CRS, KEY_GEODETIC_CRS]))
         .or_else(|| keys.esri_text().map(Vertical::of_text))
         .unwrap_or_default();
     let stated = keys.short(KEY_VERTICAL_UNIT).filter(|code| *code != 0);

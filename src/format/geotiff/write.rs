@@ -6,8 +6,9 @@
 
 use super::georef::{
     KEY_GEODETIC_CITATION, KEY_GEODETIC_CRS, KEY_MODEL_TYPE, KEY_PROJECTED_CITATION, KEY_PROJECTED_CRS,
-    KEY_RASTER_TYPE, MODEL_GEOGRAPHIC, MODEL_PROJECTED, RASTER_AREA, TAG_GEO_ASCII, TAG_GEO_KEYS,
-    TAG_PIXEL_SCALE, TAG_TIEPOINTS, TAG_TRANSFORMATION, USER_DEFINED,
+    KEY_RASTER_TYPE, KEY_VERTICAL_CITATION, KEY_VERTICAL_CRS, KEY_VERTICAL_DATUM, KEY_VERTICAL_UNIT,
+    MODEL_GEOGRAPHIC, MODEL_PROJECTED, RASTER_AREA, TAG_GEO_ASCII, TAG_GEO_KEYS, TAG_PIXEL_SCALE,
+    TAG_TIEPOINTS, TAG_TRANSFORMATION, UNIT_METRE, USER_DEFINED,
 };
 use crate::base::bytes::Put;
 use crate::base::{Error, Result, limits};
@@ -42,6 +43,10 @@ pub struct GeoTiffSpec {
     /// height = sample * scale + offset.
     pub scale: f64,
     pub offset: f64,
+    /// What heights, in metres, count from, as [`VerticalDatum`] records it.
+    ///
+    /// [`VerticalDatum`]: crate::height::crs::vertical::VerticalDatum
+    pub vertical_datum: Option<String>,
 }
 
 /// Writes rows from the first to the last; holds one row of tiles.
@@ -244,7 +249,7 @@ impl<W: Write + Seek> GeoTiffWriter<W> {
         if let Some(affine) = spec.affine {
             entries.extend(placement(affine));
         }
-        let (keys, text) = geo_keys(spec.crs.as_ref());
+        let (keys, text) = geo_keys(spec.crs.as_ref(), spec.vertical_datum.as_deref());
         entries.push(Entry::short(TAG_GEO_KEYS, &keys));
         entries.extend(text.map(|t| Entry::text(TAG_GEO_ASCII, &t)));
         if spec.scale != 1.0 || spec.offset != 0.0 {
@@ -342,6 +347,12 @@ fn check_spec(spec: &GeoTiffSpec) -> Result<()> {
         let reason = format!("a name of {} bytes does not fit a GeoTIFF", crs.code.len());
         return Err(Error::invalid("crs", reason));
     }
+    if let Some(datum) =
+        spec.vertical_datum.as_ref().filter(|d| d.len() > limits::TEXT_BYTES_MAX || d.contains(['|', '\0']))
+    {
+        let reason = format!("'{datum}' does not fit a GeoTIFF; use another name");
+        return Err(Error::invalid("vertical datum", reason));
+    }
     if spec.nodata.as_ref().is_some_and(|text| text.contains('\0')) {
         return Err(Error::invalid("nodata", "the text holds a zero byte"));
     }
@@ -363,33 +374,43 @@ fn header(big: bool, directory: u64) -> Vec<u8> {
     bytes
 }
 
-fn epsg_of(crs: &Crs) -> Option<u16> {
-    crs.code.strip_prefix("EPSG:")?.parse().ok().filter(|code| (1..32767).contains(code))
+/// The number of `EPSG:n`, if a key can hold it.
+fn epsg_of(name: &str) -> Option<u16> {
+    name.strip_prefix("EPSG:")?.parse().ok().filter(|code| (1..32767).contains(code))
 }
 
-/// The key directory, and the text that it points into. A system without an EPSG code is user-defined, with its name or PROJ
-/// string as citation: this program reads it back, others show it.
-fn geo_keys(crs: Option<&Crs>) -> (Vec<u16>, Option<String>) {
+/// The key directory, and the text that it points into. A system without an EPSG code is user-defined, with its
+/// name or PROJ string as citation: this program reads it back, others show it. So is a vertical datum without one.
+fn geo_keys(crs: Option<&Crs>, vertical_datum: Option<&str>) -> (Vec<u16>, Option<String>) {
     let mut entries = vec![[KEY_RASTER_TYPE, 0, 1, RASTER_AREA]];
-    let mut text = None;
+    let mut text = String::new();
+    let mut named = |entries: &mut Vec<[u16; 4]>, key: u16, citation: u16, name: &str| {
+        entries.push([key, 0, 1, epsg_of(name).unwrap_or(USER_DEFINED)]);
+        if epsg_of(name).is_none() {
+            entries.push([citation, TAG_GEO_ASCII, name.len() as u16 + 1, text.len() as u16]);
+            text.extend([name, "|"]);
+        }
+    };
     if let Some(crs) = crs {
         let (model, key, citation) = match crs.unit {
             AxisUnit::Degree => (MODEL_GEOGRAPHIC, KEY_GEODETIC_CRS, KEY_GEODETIC_CITATION),
             AxisUnit::Metre(_) => (MODEL_PROJECTED, KEY_PROJECTED_CRS, KEY_PROJECTED_CITATION),
         };
-        entries.insert(0, [KEY_MODEL_TYPE, 0, 1, model]);
-        entries.push([key, 0, 1, epsg_of(crs).unwrap_or(USER_DEFINED)]);
-        if epsg_of(crs).is_none() {
-            let cited = format!("{}|", crs.code);
-            entries.push([citation, TAG_GEO_ASCII, cited.len() as u16, 0]);
-            text = Some(cited);
-        }
+        entries.push([KEY_MODEL_TYPE, 0, 1, model]);
+        named(&mut entries, key, citation, &crs.code);
     }
-    // Ascending by key, as GeoTIFF wants them.
+    if let Some(datum) = vertical_datum {
+        named(&mut entries, KEY_VERTICAL_CRS, KEY_VERTICAL_CITATION, datum);
+        if epsg_of(datum).is_none() {
+            entries.push([KEY_VERTICAL_DATUM, 0, 1, USER_DEFINED]);
+        }
+        entries.push([KEY_VERTICAL_UNIT, 0, 1, UNIT_METRE]);
+    }
+    // Ascending by key, as GeoTIFF wants them. Compound systems came with its version 1.1.
     entries.sort_unstable();
-    let mut directory = vec![1, 1, 0, entries.len() as u16];
+    let mut directory = vec![1, 1, u16::from(vertical_datum.is_some()), entries.len() as u16];
     directory.extend(entries.as_flattened());
-    (directory, text)
+    (directory, Some(text).filter(|t| !t.is_empty()))
 }
 
 /// Scale and tie point for a north-up grid, else a matrix.

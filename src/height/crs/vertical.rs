@@ -41,9 +41,9 @@ impl VerticalDatum {
         }
         let name = match text.to_ascii_lowercase().as_str() {
             "ellipsoid" | "ellipsoidal" => "ellipsoid",
-            "navd88" => "EPSG:5703",
-            "egm96" => "EPSG:5773",
-            "egm2008" => "EPSG:3855",
+            "navd88" | "navd88 height" => "EPSG:5703",
+            "egm96" | "egm96 height" => "EPSG:5773",
+            "egm2008" | "egm2008 height" => "EPSG:3855",
             "" => return Err(Error::invalid("vertical datum", "the name is empty")),
             _ if text.chars().count() > 64 || text.chars().any(char::is_control) => {
                 return Err(Error::invalid("vertical datum", "a name has at most 64 printable letters"));
