@@ -133,8 +133,14 @@ impl Export {
                     ));
                 }
                 if let Some(used) = m.tolerance_used.filter(|u| *u > 1.0) {
+                    let bent = if m.correction_m > 0.0 {
+                        ", or are bent where they disagree (--seams off keeps them apart)"
+                    } else {
+                        ""
+                    };
                     message(&format!(
-                        "note: somewhere the surveys are less accurate than was asked: surface and mesh need {used:.2} times the tolerance there"
+                        "note: somewhere the surveys are less accurate than was asked{bent}: surface and mesh need {used:.2} times \
+                         the tolerance there"
                     ));
                 }
                 self.told(&m, &text)

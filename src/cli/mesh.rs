@@ -30,12 +30,15 @@ impl Packing {
         self.quantize || self.meshopt
     }
 
+    fn option(self) -> &'static str {
+        if self.meshopt { "--meshopt" } else { "--quantize" }
+    }
+
     /// Refuses the options for files of another ending.
     pub fn only_for_glb(self, ending: &str) -> Result<()> {
         if self.compact() && ending != "glb" {
-            let option = if self.meshopt { "--meshopt" } else { "--quantize" };
             return Err(Error::invalid(
-                option,
+                self.option(),
                 format!("is for .glb, the file to write ends in '.{ending}'"),
             ));
         }
@@ -55,10 +58,10 @@ pub struct MeshFound {
     pub error_m: f64,
     pub surface_error_m: f64,
     pub mesh_error_m: f64,
-    /// Largest correction of seams, part of the surface's error.
     /// Largest part of the tolerance that was needed, where it is not the same everywhere.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_used: Option<f64>,
+    /// Largest correction of seams, part of the surface's error.
     pub correction_m: f64,
     pub seams: &'static str,
     /// Of compact meshes.
@@ -104,9 +107,14 @@ pub fn packed_glb(s: &Snapshot, query: &Query, path: &Path, packing: Packing) ->
     let started = std::time::Instant::now();
     let mut query = query.clone();
     let mut lattice_m = 0.0;
-    if packing.compact()
-        && let Tolerance::Constant(asked) = &mut query.tolerance
-    {
+    if packing.compact() {
+        let Tolerance::Constant(asked) = &mut query.tolerance else {
+            return Err(Error::invalid(
+                packing.option(),
+                "gives every vertex the same lattice, so it goes with --error only; write a plain .glb for a tolerance that \
+                 varies, or give --error its least value",
+            ));
+        };
         lattice_m = *asked * LATTICE_SHARE;
         *asked -= lattice_m;
     }

@@ -41,6 +41,7 @@ mod tile;
 mod triangles;
 mod update;
 mod view;
+mod walls;
 mod writing;
 
 pub use awaiting::Awaiting;

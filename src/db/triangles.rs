@@ -3,12 +3,15 @@
 use super::Snapshot;
 use super::query::{Area, Ground, Query, Tolerance};
 use super::view::{Rules, Tables};
+use super::walls::{Ring, place_in_cell, rings, steep};
 use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
+use crate::height::frame::{CellRect, Frame};
 use crate::height::lod::cover::rects;
 use crate::height::lod::cut::Region;
 use crate::height::lod::{Cells, World};
-use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, outline, outline_within, triangulate};
+use crate::height::surface::Seams;
+use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, Polygon, outline, outline_within, triangulate};
 use std::sync::Mutex;
 
 /// Posts that one mesh is measured at, at most.
@@ -19,9 +22,10 @@ pub struct RegionMesh {
     pub mesh: Mesh,
     /// East, north, up of the mesh's zero, CRS units and metres.
     pub origin: [f64; 3],
-    /// Certified error of the surface: the largest of the contributing patches over the measured posts, metres.
+    /// Certified error of the surface: the largest over posts and vertices, and with corrected seams over points half a step
+    /// from posts, metres.
     pub surface_error_m: f64,
-    /// Largest correction of seams over the measured posts, metres; part of surface_error_m.
+    /// Largest correction of seams over the same points, the nodes of corrections among them, metres; part of surface_error_m.
     pub correction_m: f64,
     /// surface_error_m + mesh.error_m.
     pub error_m: f64,
@@ -30,12 +34,9 @@ pub struct RegionMesh {
     pub tolerance_used: Option<f64>,
 }
 
-/// Where surveys meet, the surface changes over within a cell, most of it within a hundredth of one: near such walls the
-/// mesh is measured to within this many steps sideways.
+/// Where surveys meet, the surface changes over within a cell, most of it within a hundredth of one: in such cells and as
+/// far beside them the mesh is measured to within this many steps sideways. Everywhere else it is measured vertically.
 pub const WALL_STEPS: f64 = 0.02;
-
-/// Distances from core' in cells, at which a wall is looked at: dense where the weight of a survey ends.
-const WALL_STATIONS: [f64; 6] = [0.5, 0.85, 0.95, 0.98, 0.99, 1.0];
 
 /// A cell without a height that is further than this share of the mesh's error from a plane over its corners has no wall.
 const WALL_SHARE: f64 = 0.125;
@@ -62,6 +63,9 @@ struct GroundField<'a> {
     origin: [f64; 2],
     scale: [f64; 2],
     failed: Mutex<Option<Error>>,
+    /// Cells in which surveys give way to each other, and how far beside them the mesh may look for a wall, metres.
+    rings: &'a [Ring],
+    wall_m: f64,
     /// Where the tolerance is not the same everywhere: what the mesh may err at a place, and the most it may anywhere.
     allowed: Option<(Allowed<'a>, f64)>,
 }
@@ -99,6 +103,15 @@ impl Field for GroundField<'_> {
     }
     fn share(&self, p: [f64; 2]) -> f64 {
         self.allowed.map_or(1.0, |(allowed, most)| (allowed(self.place(p)) / most).min(1.0))
+    }
+    fn at_wall(&self, p: [f64; 2]) -> bool {
+        let near = [0.0, -self.wall_m, self.wall_m];
+        near.iter().any(|x| {
+            near.iter().any(|y| {
+                let q = self.place([p[0] + x, p[1] + y]);
+                self.rings.iter().any(|r| r.holds(q))
+            })
+        })
     }
 }
 
@@ -141,7 +154,7 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let scale = metres_per_unit(s.crs().unit, origin);
     let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);
     let place = |p: &[f64; 2]| [0, 1].map(|k| origin[k] + p[k] / scale[k]);
-    let (quads, mut posts, step) = outline_and_posts(s, &ground, b, &local, scale)?;
+    let (quads, pieces, mut posts, step) = outline_and_posts(s, b, &local, scale)?;
     if let Area::Polygon(p) = &query.area {
         posts.retain(|q| p.contains(place(q)));
     }
@@ -161,20 +174,28 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let allowed = |p: [f64; 2]| rest(tolerance(p));
     let mesh_error_m = match &cut {
         None => rest(least),
-        Some(_) => {
-            most_allowed(&allowed, posts.iter().chain(polygons.iter().flat_map(|p| &p.outer)).map(place))?
-        }
+        Some(_) => most_allowed(
+            &allowed,
+            posts.iter().chain(polygons.iter().flat_map(Polygon::rings).flatten()).map(place),
+        )?,
     };
+    // Cells are flat or not by the error that is allowed at them.
+    let flat_m =
+        |p: [f64; 2]| WALL_SHARE * if cut.is_some() { allowed(p).min(mesh_error_m) } else { mesh_error_m };
+    let around = rings(s, b)?;
+    let (steep, candidates) = steep(&around, &ground, b, &flat_m)?;
+    let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
+    options.wall_m = if steep.is_empty() { 0.0 } else { step * WALL_STEPS };
+    options.posts.extend(candidates.into_iter().map(local));
     let field = GroundField {
         ground: &ground,
         origin,
         scale,
         failed: Mutex::new(None),
+        rings: &steep,
+        wall_m: options.wall_m,
         allowed: cut.as_ref().map(|_| (&allowed as Allowed, mesh_error_m)),
     };
-    let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
-    options.wall_m = step * WALL_STEPS;
-    options.posts.extend(walls(s, &ground, b, &local, mesh_error_m * WALL_SHARE)?);
     let mesh = triangulate(&field, &polygons, &options, progress);
     if let Some(e) = field.failed.into_inner().unwrap_or(None) {
         return Err(e);
@@ -186,12 +207,24 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
             "no cell with data lies in it; `terraquilt surveys` shows where the surveys are",
         ));
     }
-    // What the surface promises at its posts and at the vertices.
+    // What the surface promises at its posts and at the vertices; where it is bent, at the nodes of corrections too, as
+    // they peak there. Nodes beside a box count at its side, where the correction bends as well.
     let vertices = mesh.positions.iter().map(|p| place(&[p[0], p[1]]));
-    let here: Vec<[f64; 2]> = posts.iter().map(place).chain(vertices).collect();
+    let bent = query.how.seams != Seams::Off;
+    let whole = pieces.iter().filter(|_| bent).flat_map(|p| p.halves());
+    let nodes =
+        whole.chain(around.iter().filter(|_| bent).flat_map(Ring::nodes)).filter_map(|p| match &query.area {
+            Area::Polygon(area) => area.contains(p).then_some(p),
+            _ => Some([p[0].clamp(b[0], b[2]), p[1].clamp(b[1], b[3])]),
+        });
+    let mut places = posts.iter().map(place).chain(vertices).chain(nodes);
     let (mut surface_error_m, mut correction_m, mut used) = (0.0f64, 0.0f64, 0.0f64);
-    for chunk in here.chunks(1 << 20) {
-        for (p, e) in chunk.iter().zip(ground.heights(chunk)?) {
+    loop {
+        let chunk: Vec<[f64; 2]> = places.by_ref().take(1 << 20).collect();
+        if chunk.is_empty() {
+            break;
+        }
+        for (p, e) in chunk.iter().zip(ground.heights(&chunk)?) {
             let Some(e) = e.filter(|e| e.certified) else { continue };
             surface_error_m = surface_error_m.max(e.error_m);
             correction_m = correction_m.max(e.correction_m.abs());
@@ -250,19 +283,38 @@ fn least_accurate(s: &Snapshot, region: Option<[f64; 4]>) -> f64 {
     met.into_iter().map(|n| f64::from(rules.geometry(n).accuracy)).fold(0.0, f64::max)
 }
 
-type QuadsPostsStep = (Vec<[[f64; 2]; 4]>, Vec<[f64; 2]>, f64);
+/// Cells of one survey.
+struct Piece {
+    frame: Frame,
+    /// CRS units of one lattice unit.
+    size: f64,
+    cells: CellRect,
+}
 
-/// The cells of the region as quads, their posts, and the finest step in metres.
+impl Piece {
+    /// Points half a step from posts, in CRS units: with the posts, the nodes of corrections (section 15).
+    fn halves(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let r = self.cells;
+        let nodes = (2 * r.j0..=2 * r.j1).flat_map(move |b| (2 * r.i0..=2 * r.i1).map(move |a| (a, b)));
+        nodes.filter(|(a, b)| (a | b) & 1 == 1).map(|(a, b)| {
+            let part = [a & 1, b & 1].map(|k| k as f64 / 2.0);
+            place_in_cell(&self.frame, self.size, (a >> 1, b >> 1), part)
+        })
+    }
+}
+
+type QuadsPiecesPostsStep = (Vec<[[f64; 2]; 4]>, Vec<Piece>, Vec<[f64; 2]>, f64);
+
+/// The cells of the region as quads and as pieces of surveys, their posts, and the finest step in metres.
 fn outline_and_posts(
     s: &Snapshot,
-    ground: &Ground,
     b: [f64; 4],
     local: &dyn Fn([f64; 2]) -> [f64; 2],
     scale: [f64; 2],
-) -> Result<QuadsPostsStep> {
+) -> Result<QuadsPiecesPostsStep> {
     let rules = Rules(&s.view);
     let size = s.unit().size();
-    let (mut quads, mut posts, mut step) = (Vec::new(), Vec::new(), f64::INFINITY);
+    let (mut quads, mut pieces, mut posts, mut step) = (Vec::new(), Vec::new(), Vec::new(), f64::INFINITY);
     let bounds = region_bounds(b, size);
     let mut count = 0u64;
     for n in rules.meeting(&bounds) {
@@ -288,6 +340,7 @@ fn outline_and_posts(
         for r in &found {
             let q = g.frame.quad(r).0.map(|p| local([p.x as f64 * size, p.y as f64 * size]));
             quads.push(q);
+            pieces.push(Piece { frame: g.frame, size, cells: *r });
             for j in r.j0..=r.j1 {
                 for i in r.i0..=r.i1 {
                     // Posts on the sides of a rectangle may belong to its neighbour too.
@@ -302,99 +355,10 @@ fn outline_and_posts(
     }
     let (lo, hi) = (local([b[0], b[1]]), local([b[2], b[3]]));
     posts.retain(|p| p[0] >= lo[0] && p[0] <= hi[0] && p[1] >= lo[1] && p[1] <= hi[1]);
-    let _ = ground;
-    Ok((quads, posts, if step.is_finite() { step } else { 1.0 }))
+    Ok((quads, pieces, posts, if step.is_finite() { step } else { 1.0 }))
 }
 
-/// Points along the outer side of every survey's ring, where one survey gives way to another: candidates for vertices
-/// that no lattice of posts would hit. Where surveys agree to `flat_m`, or were bent to agree, there is no wall and no candidate.
-fn walls(
-    s: &Snapshot,
-    ground: &Ground,
-    b: [f64; 4],
-    local: &dyn Fn([f64; 2]) -> [f64; 2],
-    flat_m: f64,
-) -> Result<Vec<[f64; 2]>> {
-    let rules = Rules(&s.view);
-    let size = s.unit().size();
-    let bounds = region_bounds(b, size);
-    let surveys = rules.meeting(&bounds);
-    let mut out = Vec::new();
-    if surveys.len() < 2 {
-        return Ok(out);
-    }
-    for n in surveys {
-        let g = s.view.geometry_of(n);
-        let window = g.frame.cells_meeting(&bounds.quad());
-        let cells = rects(&rules, n, Cells::CorePrime, &window)?;
-        let mut inside = std::collections::HashSet::new();
-        for r in &cells {
-            for j in r.j0..r.j1 {
-                let edge = j == r.j0 || j == r.j1 - 1;
-                for i in if edge { (r.i0..r.i1).collect::<Vec<_>>() } else { vec![r.i0, r.i1 - 1] } {
-                    inside.insert((i, j));
-                }
-            }
-        }
-        let within = |i: i64, j: i64| cells.iter().any(|r| r.i0 <= i && i < r.i1 && r.j0 <= j && j < r.j1);
-        let mut ring = std::collections::BTreeSet::new();
-        for &(i, j) in &inside {
-            for (a, c) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)] {
-                if !inside.contains(&(i + a, j + c))
-                    && !ring.contains(&(i + a, j + c))
-                    && !within(i + a, j + c)
-                {
-                    ring.insert((i + a, j + c));
-                }
-            }
-        }
-        // Both ends of each station: the cell may be left towards any side.
-        let stations: Vec<f64> = WALL_STATIONS.iter().flat_map(|t| [*t, 1.0 - *t]).collect();
-        let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
-        let spots: Vec<[f64; 2]> = corners
-            .into_iter()
-            .chain(stations.iter().flat_map(|y| stations.iter().map(move |x| [*x, *y])))
-            .collect();
-        let ring: Vec<(i64, i64)> = ring.into_iter().collect();
-        for some in ring.chunks(1024) {
-            let at: Vec<[f64; 2]> = some
-                .iter()
-                .flat_map(|(i, j)| {
-                    let p = g.frame.post(*i, *j);
-                    spots.iter().map(move |[x, y]| {
-                        let (u, v) = (g.frame.u, g.frame.v);
-                        [
-                            (p.x as f64 + x * u.x as f64 + y * v.x as f64) * size,
-                            (p.y as f64 + x * u.y as f64 + y * v.y as f64) * size,
-                        ]
-                    })
-                })
-                .collect();
-            // Outside of the region no patches were selected: no height is asked there, and the cell is kept.
-            let held = |p: &[f64; 2]| p[0] > b[0] && p[0] < b[2] && p[1] > b[1] && p[1] < b[3];
-            let asked: Vec<[f64; 2]> = at.iter().filter(|p| held(p)).copied().collect();
-            let mut found = ground.heights(&asked)?.into_iter();
-            let z: Vec<Option<f64>> =
-                at.iter().map(|p| if held(p) { found.next().flatten().map(|e| e.z) } else { None }).collect();
-            for (at, z) in at.chunks_exact(spots.len()).zip(z.chunks_exact(spots.len())) {
-                let flat = if let [Some(z00), Some(z10), Some(z01), Some(z11)] = z[..4] {
-                    spots.iter().zip(z).all(|([x, y], z)| {
-                        let (left, right) = (z00 + (z01 - z00) * y, z10 + (z11 - z10) * y);
-                        z.is_some_and(|z| (z - (left + (right - left) * x)).abs() <= flat_m)
-                    })
-                } else {
-                    false
-                };
-                if !flat {
-                    out.extend(at[4..].iter().filter(|p| held(p)).map(|p| local(*p)));
-                }
-            }
-        }
-    }
-    Ok(out)
-}
-
-fn region_bounds(b: [f64; 4], size: f64) -> crate::base::lattice::Bounds {
+pub(super) fn region_bounds(b: [f64; 4], size: f64) -> crate::base::lattice::Bounds {
     let lattice = |v: f64| (v / size).round().clamp(-(2f64.powi(60)), 2f64.powi(60)) as i64;
     crate::base::lattice::Bounds {
         min: crate::base::lattice::Point::new(lattice(b[0]), lattice(b[1])),

@@ -201,7 +201,7 @@ struct Probe {
     error: f64,
 }
 
-/// Vertical distances of mesh and field. Where that is above the bound the field may be a wall: then the mesh is
+/// Vertical distances of mesh and field. Where that is above the bound [at a wall](Field::at_wall), the mesh is
 /// right if the field takes its height within [`MeshOptions::wall_m`](super::MeshOptions) of the point, and the
 /// distance is to the span of heights there.
 fn distances(field: &dyn Field, lattice: &Lattice, probes: &mut [Probe]) {
@@ -221,7 +221,8 @@ fn distances(field: &dyn Field, lattice: &Lattice, probes: &mut [Probe]) {
     if lattice.wall <= 0.0 {
         return;
     }
-    let far: Vec<usize> = (0..probes.len()).filter(|k| probes[*k].error > lattice.bound).collect();
+    let far = |p: &Probe| p.error > lattice.bound && field.at_wall(p.at);
+    let far: Vec<usize> = (0..probes.len()).filter(|k| far(&probes[*k])).collect();
     let around = far.iter().flat_map(|k| {
         let at = probes[*k].at;
         WAYS.map(|w| [at[0] + w[0] * lattice.wall, at[1] + w[1] * lattice.wall])

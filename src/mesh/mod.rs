@@ -58,6 +58,11 @@ pub trait Field: Sync {
     fn share(&self, _: [f64; 2]) -> f64 {
         1.0
     }
+
+    /// Whether a wall may be at a point or within [`MeshOptions::wall_m`] of it. Everywhere else the bound is vertical.
+    fn at_wall(&self, _: [f64; 2]) -> bool {
+        true
+    }
 }
 
 /// What [`triangulate`] shall do.
@@ -72,8 +77,8 @@ pub struct MeshOptions {
     /// The posts of the surveys in the region: where vertices are tried first, and where the error is
     /// measured. Posts outside the region are ignored.
     pub posts: Vec<[f64; 2]>,
-    /// Walls: the mesh may differ from the field by more than the bound at a point where the field takes the mesh's
-    /// height within this horizontal distance, metres; 0: nowhere. A continuous surface may climb metres in
+    /// Walls: the mesh may differ from the field by more than the bound at a point [at a wall](Field::at_wall), where the
+    /// field takes the mesh's height within this horizontal distance, metres; 0: nowhere. A continuous surface may climb metres in
     /// millimetres where two surveys disagree, and no mesh of 32-bit floats follows that vertically.
     pub wall_m: f64,
     /// At most so many vertices.

@@ -2,6 +2,7 @@
 
 mod compact;
 mod reader;
+mod steep;
 
 use crate::support::{Random, bundled, printed};
 use reader::{Glb, read};
