@@ -82,7 +82,10 @@ impl Awaiting {
             systems.push(said.or(info.crs.as_ref()).ok_or_else(|| {
                 Error::invalid(
                     &info.file,
-                    "does not say its coordinate system, and the database takes its own from the first survey; give --crs",
+                    format!(
+                        "does not say its coordinate system, and the database takes its own from the first survey; give --crs{}",
+                        info.notes.iter().map(|n| format!("; {n}")).collect::<String>()
+                    ),
                 )
             })?);
         }

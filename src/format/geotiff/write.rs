@@ -341,6 +341,11 @@ fn check_spec(spec: &GeoTiffSpec) -> Result<()> {
     if spec.cols * spec.rows > limits::POSTS_MAX {
         return Err(Error::limit("posts of a GeoTIFF", limits::POSTS_MAX, spec.cols * spec.rows));
     }
+    if let Some(crs) = spec.crs.as_ref().filter(|c| c.code.starts_with("EPSG:") && epsg_of(&c.code).is_none())
+    {
+        let reason = format!("'{}' is not EPSG:1 to EPSG:32766, which is what GeoTIFF can name", crs.code);
+        return Err(Error::invalid("crs", reason));
+    }
     if let Some(crs) =
         spec.crs.as_ref().filter(|c| c.code.len() > limits::TEXT_BYTES_MAX || !c.code.is_ascii())
     {
