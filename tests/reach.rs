@@ -258,6 +258,22 @@ fn a_mesh_keeps_a_tolerance_that_varies() {
     let zero = ErrorRaster::new(1, 1, vec![0.0], &affine).unwrap();
     let e = ask(Tolerance::Raster(Arc::new(zero))).err().unwrap().to_string();
     assert!(e.contains("positive error"), "{e}");
+    // Nor does a 0 at the corner of a hole alone, between posts.
+    let corner = [562_505.0, 5_116_005.0];
+    let affine = Affine {
+        origin: [corner[0] - 100.0, corner[1] + 100.0],
+        col_step: [100.0, 0.0],
+        row_step: [0.0, -100.0],
+    };
+    let values = (0..9).map(|k| if k == 4 { 0.0 } else { 9.0 }).collect();
+    let pit = Tolerance::Raster(Arc::new(ErrorRaster::new(3, 3, values, &affine).unwrap()));
+    let at = |x: f64, y: f64| [corner[0] + x, corner[1] + y];
+    let outer = vec![at(-90.0, -90.0), at(90.0, -90.0), at(90.0, 90.0), at(-90.0, 90.0)];
+    let ring = vec![corner, at(20.0, 31.0), at(33.0, 20.0)];
+    let area = Area::Polygon(Arc::new(Polygon::new("holed", vec![vec![outer, ring]]).unwrap()));
+    let query = Query { area, tolerance: pit, how: Blend::Exact.into() };
+    let e = triangulate_region(&s, &query, &|_| true).err().unwrap().to_string();
+    assert!(e.contains("positive error everywhere") && e.contains("562505"), "{e}");
 }
 
 /// Rings that say `contains` by the angle they turn around a point.

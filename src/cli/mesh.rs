@@ -17,7 +17,7 @@ use std::sync::atomic::Ordering;
 /// How a .glb is written.
 #[derive(Args, Clone, Copy, Default)]
 pub struct Packing {
-    /// .glb: 16-bit positions, 8-bit normals (KHR_mesh_quantization)
+    /// .glb: 16-bit positions, 8-bit normals (KHR_mesh_quantization); goes with --error
     #[arg(long)]
     quantize: bool,
     /// .glb: --quantize and compressed (EXT_meshopt_compression; needs a build with meshopt)

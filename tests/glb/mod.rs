@@ -157,7 +157,8 @@ fn mesh_is_surface(seams: Seams) {
     assert_eq!(extras["seams"], seams.name());
     let bent = number(&extras["correction_m"]);
     assert!((bent > 1.0) == (seams == Seams::All));
-    assert!(number(&extras["error_m"]) <= 6.0 + bent, "{extras}");
+    // A contributor may be bent by more than the mean of them is.
+    assert!(number(&extras["error_m"]) <= 6.0 + 1.1 * bent, "{extras}");
     assert!(number(&extras["surface_error_m"]) >= bent);
     assert_eq!(
         number(&extras["error_m"]),
