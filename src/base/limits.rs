@@ -39,5 +39,8 @@ pub const LINE_FILE_BYTES_MAX: u64 = 64 << 20;
 pub const TOLERANCE_POSTS_MAX: u64 = 64 << 20;
 /// Points of one polygon that names a region.
 pub const POLYGON_POINTS_MAX: u64 = 500_000;
+/// Boxes and edges of a polygon that are compared to show that no ring crosses itself: a few seconds of work. A coast of
+/// half a million points needs a tenth of them.
+pub const POLYGON_COMPARISONS_MAX: u64 = 200_000_000;
 /// Bytes of a GeoJSON file.
 pub const GEOJSON_BYTES_MAX: u64 = 128 << 20;

@@ -103,7 +103,8 @@ impl Polygon {
     /// # Errors
     /// If it has no part, a coordinate is not finite, a ring has fewer than three points, touches or crosses itself or
     /// crosses another ring of its part, or a hole lies outside; all name the place. [`Error::Limit`] for more than
-    /// [`limits::POLYGON_POINTS_MAX`] points.
+    /// [`limits::POLYGON_POINTS_MAX`] points, or if so many edges lie beside each other that they cannot be told apart
+    /// within [`limits::POLYGON_COMPARISONS_MAX`] comparisons.
     pub fn new(what: &str, mut parts: Vec<Vec<Ring>>) -> Result<Polygon> {
         let points: usize = parts.iter().flatten().map(Vec::len).sum();
         if points as u64 > limits::POLYGON_POINTS_MAX {
@@ -220,9 +221,10 @@ impl Polygon {
         }
     }
 
-    /// No ring touches or crosses itself, or crosses another of its part.
-    fn is_simple(&self, what: &str) -> Result<()> {
+    /// No ring touches or crosses itself, or crosses another of its part. Tells how many boxes and edges were compared.
+    fn is_simple(&self, what: &str) -> Result<u64> {
         let mut first = 0usize;
+        let mut compared = 0u64;
         for (n, part) in self.parts.iter().enumerate() {
             for (m, ring) in part.iter().enumerate() {
                 let count = ring.len();
@@ -231,7 +233,7 @@ impl Polygon {
                     let reach = e.bounds();
                     let mut at = None;
                     let mut other = (0, 0);
-                    self.visit_from(k + 1, &|b| meet(b, &reach), &mut |j, f| {
+                    compared += self.visit_from(k + 1, &|b| meet(b, &reach), &mut |j, f| {
                         if f.part != e.part {
                             return true;
                         }
@@ -242,6 +244,17 @@ impl Polygon {
                         other = (f.part as usize, f.ring as usize);
                         at.is_some()
                     });
+                    if compared > limits::POLYGON_COMPARISONS_MAX {
+                        return Err(Error::limit(
+                            format!(
+                                "comparisons of edges (many run side by side; simplify the polygon or cut it into \
+                                 parts) of {} in {what}",
+                                name(n, m)
+                            ),
+                            limits::POLYGON_COMPARISONS_MAX,
+                            compared,
+                        ));
+                    }
                     if let Some([x, y]) = at {
                         let (mine, whose) = (name(n, m), name(other.0, other.1));
                         let reason = if mine == whose {
@@ -255,24 +268,26 @@ impl Polygon {
                 first += count;
             }
         }
-        Ok(())
+        Ok(compared)
     }
 
-    /// Like [`Polygon::visit`], for the edges from number `first` on.
+    /// Like [`Polygon::visit`], for the edges from number `first` on; tells how many boxes and edges it looked at.
     fn visit_from<'a>(
         &'a self,
         first: usize,
         pass: &impl Fn(&[f64; 4]) -> bool,
         found: &mut impl FnMut(usize, &'a Edge) -> bool,
-    ) {
+    ) -> u64 {
+        let mut looked = 0;
         let mut stack = vec![(self.boxes.len() - 1, 0usize)];
         while let Some((level, k)) = stack.pop() {
+            looked += 1;
             if (k + 1) << level <= first || !pass(&self.boxes[level][k]) {
                 continue;
             }
             if level == 0 {
                 if found(k, &self.edges[k]) {
-                    return;
+                    return looked;
                 }
                 continue;
             }
@@ -281,6 +296,7 @@ impl Polygon {
             }
             stack.push((level - 1, 2 * k));
         }
+        looked
     }
 
     /// Every point of a hole is in its part's outer ring or on it.
@@ -459,11 +475,38 @@ mod tests {
                 [r * angle.cos(), r * angle.sin()]
             })
             .collect();
-        let started = std::time::Instant::now();
         let p = Polygon::new("coast", vec![vec![ring]]).unwrap();
+        let compared = p.is_simple("coast").unwrap();
+        assert!((100_000..100 * 100_000).contains(&compared), "{compared} comparisons");
         let inside =
             (0..20_000).filter(|_| p.contains([2e5 * random(&mut s) - 1e5, 2e5 * random(&mut s) - 1e5]));
         assert!(inside.count() > 1000);
-        assert!(started.elapsed().as_secs() < 20, "{:?}", started.elapsed());
+    }
+
+    /// One line to and fro along a diagonal: the boxes of its edges overlap nearly all.
+    fn comb(points: usize) -> Ring {
+        let mut ring: Ring = vec![[-9.0, -9.0]];
+        for k in 0..points / 2 - 1 {
+            let at = k as f64 / points as f64;
+            let mut ends = [[at, -at], [at + 1.0, 1.0 - at]];
+            if k % 2 == 1 {
+                ends.reverse();
+            }
+            ring.extend(ends);
+        }
+        ring
+    }
+
+    #[test]
+    fn a_comb_whose_teeth_lie_side_by_side_ends_soon() {
+        let few = Polygon::new("comb", vec![vec![comb(2002)]]).unwrap();
+        let compared = few.is_simple("comb").unwrap();
+        assert!(compared > 1_000_000, "{compared}: these boxes should overlap");
+        let e =
+            Polygon::new("comb.geojson", vec![vec![comb(limits::POLYGON_POINTS_MAX as usize)]]).unwrap_err();
+        assert!(e.to_string().contains("comb.geojson") && e.to_string().contains("part 1"), "{e}");
+        // Stopped at the first edge that is over.
+        let Error::Limit { limit, wanted, .. } = e else { panic!("{e}") };
+        assert!(limit < wanted && wanted < limit + 3 * limits::POLYGON_POINTS_MAX, "{wanted}");
     }
 }

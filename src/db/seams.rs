@@ -16,7 +16,9 @@ use crate::height::crs::AxisUnit;
 use crate::height::frame::{CellRect, Frame, LatticeUnit};
 use crate::height::lod::cover::rects;
 use crate::height::lod::{Cells, Geometry, KERNEL, Place, SurveyNumber, World};
-use crate::height::surface::seam::{BAND, Border, Field, Piece, Spans, Spot, outline, spans, union};
+use crate::height::surface::seam::{
+    BAND, Border, Field, Gathering, Piece, Spans, Spot, outline, spans, union,
+};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use std::cmp::Ordering;
@@ -132,7 +134,7 @@ impl Fields<'_> {
     }
 
     /// Precedence, accuracy, step, declaration: greater is believed more.
-    fn authority(&self, a: SurveyNumber, b: SurveyNumber) -> Ordering {
+    pub(super) fn authority(&self, a: SurveyNumber, b: SurveyNumber) -> Ordering {
         let entry = |n| &self.view.entries()[&n];
         let (x, y) = (&entry(a).geometry, &entry(b).geometry);
         let step = |g: &Geometry| g.steps[0] * g.steps[1];
@@ -144,7 +146,7 @@ impl Fields<'_> {
     }
 
     /// Surveys of greater authority near a rectangle of cells, the greatest first.
-    fn above(&self, survey: SurveyNumber, cells: &CellRect) -> Vec<SurveyNumber> {
+    pub(super) fn above(&self, survey: SurveyNumber, cells: &CellRect) -> Vec<SurveyNumber> {
         let bounds = self.geometry(survey).frame.bounds(cells);
         let mut found = Rules(self.view).meeting(&bounds);
         found.retain(|h| *h != survey && self.authority(*h, survey).is_gt());
@@ -198,10 +200,24 @@ impl Fields<'_> {
         if raw.is_nan() {
             return Ok((raw, false));
         }
-        let stated = f64::from(self.geometry(survey).accuracy) + f64::from(self.geometry(better).accuracy);
-        let gap = raw + self.correction(better, p)?;
-        let gap = if self.consistent { gap.clamp(-stated, stated) } else { gap };
-        Ok((gap, raw.abs() > stated))
+        let [gap] = self.held(survey, better, [raw + self.correction(better, p)?]);
+        Ok((gap, raw.abs() > self.stated(survey, better)))
+    }
+
+    /// What two surveys may differ by, metres.
+    fn stated(&self, survey: SurveyNumber, better: SurveyNumber) -> f64 {
+        f64::from(self.geometry(survey).accuracy) + f64::from(self.geometry(better).accuracy)
+    }
+
+    /// Gaps between two surveys as the policy lets them be.
+    pub(super) fn held<const N: usize>(
+        &self,
+        survey: SurveyNumber,
+        better: SurveyNumber,
+        gaps: [f64; N],
+    ) -> [f64; N] {
+        let stated = self.stated(survey, better);
+        gaps.map(|g| if self.consistent { g.clamp(-stated, stated) } else { g })
     }
 
     fn correction(&self, survey: SurveyNumber, p: Halves) -> Result<f64> {
@@ -334,14 +350,14 @@ impl Fields<'_> {
         self.view.seams.borders.get_or_insert_with(&key, || {
             let rect = Place { level: 0, i, j }.rect();
             let above = self.above(survey, &rect);
-            let mut pieces = Vec::new();
+            let mut pieces = Gathering::default();
             for h in &above {
                 self.pieces_of(survey, *h, &above, &rect, &mut pieces)?;
             }
             if !above.is_empty() {
                 self.own_pieces(survey, &above, &rect, &mut pieces)?;
             }
-            Ok(Arc::new(Border::new(pieces)))
+            Ok(Arc::new(pieces.border()))
         })
     }
 
@@ -352,7 +368,7 @@ impl Fields<'_> {
         better: SurveyNumber,
         above: &[SurveyNumber],
         rect: &CellRect,
-        out: &mut Vec<Piece>,
+        out: &mut Gathering,
     ) -> Result<()> {
         let (g, h) = (&self.geometry(survey).frame, &self.geometry(better).frame);
         let window = h.cells_meeting(&g.quad(rect)).grow(1);
@@ -394,7 +410,7 @@ impl Fields<'_> {
         survey: SurveyNumber,
         above: &[SurveyNumber],
         rect: &CellRect,
-        out: &mut Vec<Piece>,
+        out: &mut Gathering,
     ) -> Result<()> {
         let g = &self.geometry(survey).frame;
         let window = rect.grow(1);

@@ -15,7 +15,9 @@ use std::path::PathBuf;
 /// Lowest, highest and mean height of a region, its area, and how much of it has data
 ///
 /// Points are asked at the centres and corners of cells. Without --step these are the cells of the finest survey there: over
-/// one upright survey at --error 0, min, max, mean and area are then exactly those of the surface.
+/// one upright survey at --error 0 in a bilinear database, min, max, mean and area are then exactly those of the surface. A
+/// bicubic surface may be a little higher or lower between these points, and its mean differ a little: with a smaller --step
+/// they come closer.
 #[derive(Args)]
 #[command(
     name = "statistics",

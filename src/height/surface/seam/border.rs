@@ -29,20 +29,56 @@ const PIECES_MAX: usize = 2048;
 /// Pieces shorter than this become one with their neighbours, in cells: nodes carry no finer detail.
 const PIECE_MIN: f64 = 0.125;
 
-impl Border {
-    /// Pieces in a fixed order; those that are much shorter than a cell are joined.
-    pub fn new(mut pieces: Vec<Piece>) -> Border {
-        let mut side = PIECE_MIN;
-        if pieces.iter().any(|p| p.length < PIECE_MIN * 0.999) {
-            pieces = join(&pieces, side);
+/// Pieces that are held before they are joined.
+const RAW_MAX: usize = 8 * PIECES_MAX;
+
+/// Gathers the pieces of a place, in a fixed order. However fine the better survey is, few are held: whenever there are
+/// more than [`RAW_MAX`], they are joined. So the numbers of a border depend on the order of its pieces only.
+pub struct Gathering {
+    pieces: Vec<Piece>,
+    /// Of the squares whose pieces are joined, in cells.
+    side: f64,
+    /// Some pieces are shorter than [`PIECE_MIN`].
+    short: bool,
+    /// Join when there are more.
+    limit: usize,
+}
+
+impl Default for Gathering {
+    fn default() -> Gathering {
+        Gathering { pieces: Vec::new(), side: PIECE_MIN, short: false, limit: RAW_MAX }
+    }
+}
+
+impl Gathering {
+    pub fn push(&mut self, piece: Piece) {
+        self.short |= piece.length < PIECE_MIN * 0.999;
+        self.pieces.push(piece);
+        if self.pieces.len() > self.limit {
+            self.join();
+            // Pieces in whole cells that differ in what is shown cannot be fewer.
+            self.limit = RAW_MAX.max(2 * self.pieces.len());
         }
-        while pieces.len() > PIECES_MAX && side < 1.0 {
-            side *= 2.0;
-            pieces = join(&pieces, side);
-        }
-        Border { pieces }
     }
 
+    fn join(&mut self) {
+        if self.short {
+            self.pieces = join(&self.pieces, self.side);
+        }
+        while self.pieces.len() > PIECES_MAX && self.side < 1.0 {
+            self.side *= 2.0;
+            self.pieces = join(&self.pieces, self.side);
+        }
+    }
+
+    /// Pieces that are much shorter than a cell are joined.
+    pub fn border(mut self) -> Border {
+        self.join();
+        Border { pieces: self.pieces }
+    }
+}
+
+impl Border {
     /// Bytes it holds, for caches.
     pub fn weight(&self) -> u64 {
         64 + (std::mem::size_of::<Piece>() * self.pieces.len()) as u64
@@ -106,6 +142,31 @@ fn join(pieces: &[Piece], side: f64) -> Vec<Piece> {
 mod tests {
     use super::*;
 
+    fn border(pieces: Vec<Piece>) -> Border {
+        let mut all = Gathering::default();
+        pieces.into_iter().for_each(|p| all.push(p));
+        all.border()
+    }
+
+    #[test]
+    fn few_pieces_are_held_of_a_survey_that_is_far_finer() {
+        // A comb of posts of 0.5 m over cells of 90 m: 180 sides a cell.
+        let mut all = Gathering::default();
+        let (mut held, mut length, mut gaps) = (0, 0.0, 0.0);
+        for k in 0..1_000_000 {
+            let at = f64::from(k) / 1e6 * 28.0;
+            let p = piece(at, at * 97.0 % 28.0, 1.0 / 180.0, f64::from(k % 11));
+            length += p.length;
+            gaps += p.length * p.gap;
+            all.push(p);
+            held = held.max(all.pieces.len());
+        }
+        let b = all.border();
+        assert!(held <= RAW_MAX && b.pieces.len() <= PIECES_MAX, "{held} held, {} left", b.pieces.len());
+        assert!((b.pieces.iter().map(|p| p.length).sum::<f64>() / length - 1.0).abs() < 1e-9);
+        assert!((b.pieces.iter().map(|p| p.length * p.gap).sum::<f64>() / gaps - 1.0).abs() < 1e-9);
+    }
+
     fn piece(x: f64, y: f64, length: f64, gap: f64) -> Piece {
         let spans = super::super::spans(vec![[0.0, f32::INFINITY]], 0.0);
         Piece { at: [x, y], length, ease: length / 2.0, gap, contradicted: gap > 5.0, spans }
@@ -119,19 +180,19 @@ mod tests {
         let length: f64 = fine.iter().map(|p| p.length).sum();
         let mean = |p: &[Piece]| p.iter().map(|p| p.length * p.gap).sum::<f64>() / length;
         let whole = mean(&fine);
-        let joined = Border::new(fine);
+        let joined = border(fine);
         assert!(joined.pieces.len() <= PIECES_MAX && joined.pieces.len() > 1000);
         assert!((joined.pieces.iter().map(|p| p.length).sum::<f64>() - length).abs() < 1e-9);
         assert!((mean(&joined.pieces) - whole).abs() < 1e-9);
         assert!(joined.pieces.iter().any(|p| p.contradicted));
         // Pieces of a fifth of a cell are left as they are.
-        let few = Border::new((0..100).map(|k| piece(f64::from(k) * 0.2, 3.0, 0.2, 1.0)).collect());
+        let few = border((0..100).map(|k| piece(f64::from(k) * 0.2, 3.0, 0.2, 1.0)).collect());
         assert_eq!(few.pieces.len(), 100);
     }
 
     #[test]
     fn a_gap_is_carried_as_far_as_its_slope_allows() {
-        let border = Border::new(vec![piece(1.0, 1.0, 1.0, 0.2), piece(20.0, 1.0, 1.0, -16.0)]);
+        let border = border(vec![piece(1.0, 1.0, 1.0, 0.2), piece(20.0, 1.0, 1.0, -16.0)]);
         let none = Border::default();
         let near: Vec<([f64; 2], &Border)> = vec![([-28.0, 0.0], &none), ([0.0, 0.0], &border)];
         // Cells of 10 m: 16 m over 200 m is a slope of 0.15 at its steepest.

@@ -230,7 +230,7 @@ mod tests {
             contradicted: k < 20,
             spans: spans(vec![[0.5, if k < 70 { 30.0 } else { f32::INFINITY }]], 0.5),
         };
-        Border::new((0..140).map(piece).collect())
+        Border { pieces: (0..140).map(piece).collect() }
     }
 
     fn field(corner: f64, smooth: bool) -> Field {

@@ -19,7 +19,7 @@ mod field;
 mod sides;
 mod spans;
 
-pub use border::{Border, Piece};
+pub use border::{Border, Gathering, Piece};
 pub use field::{Field, Near, Spot};
 pub use sides::{Side, outline};
 pub use spans::{Spans, spans, union};
