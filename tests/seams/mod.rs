@@ -241,7 +241,7 @@ fn any_order_and_any_removal_gives_the_same_field() {
 
 #[test]
 fn corrections_have_no_jump_and_slopes_are_their_derivatives() {
-    let (mut lines, mut worst, mut off) = (0, 0.0f64, Vec::new());
+    let (mut lines, mut worst, mut off, mut kinks) = (0, 0.0f64, Vec::new(), 0);
     for seed in seeds(8) {
         let mut r = Random::new(seed + 61_000);
         let grids: Vec<Grid> = (0..3).map(|k| random_grid(&mut r, &format!("s{k}"), 110)).collect();
@@ -280,6 +280,12 @@ fn corrections_have_no_jump_and_slopes_are_their_derivatives() {
                 if let (Some(g), Some(e), Some(w), Some(n), Some(s)) =
                     (g, &east[k], &west[k], &north[k], &south[k])
                 {
+                    // Points on lines between cells have two slopes.
+                    let kink = (e.z + w.z - 2.0 * g.z).abs().max((n.z + s.z - 2.0 * g.z).abs()) / h;
+                    if kink > 1e-3 {
+                        kinks += 1;
+                        continue;
+                    }
                     let d = [(e.z - w.z) / (2.0 * h), (n.z - s.z) / (2.0 * h)];
                     off.push((d[0] - g.gradient[0]).hypot(d[1] - g.gradient[1]) / (1.0 + d[0].hypot(d[1])));
                 }
@@ -294,8 +300,8 @@ fn corrections_have_no_jump_and_slopes_are_their_derivatives() {
         at(0.5),
         at(0.85)
     );
-    // Points on lines between cells have two slopes.
-    assert!(lines > 1000 && at(0.5) < 1e-4);
+    println!("{kinks} points on kinks left out");
+    assert!(lines > 1000 && off.len() > 8000 && at(0.5) < 1e-4 && at(0.85) < 1e-3);
 }
 
 #[test]
