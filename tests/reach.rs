@@ -1,12 +1,12 @@
 //! Tolerances that vary from place to place, regions by polygon, coordinates of the user's choice: on Mount St. Helens.
 
-use crate::support::{Random, bundled, printed, program, refused};
+use crate::support::{Random, Scratch, bundled, printed, program, random_grid, refused};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use terraquilt::base::polygon::Polygon;
 use terraquilt::db::query::{Area, Query, Tolerance};
-use terraquilt::db::{Db, Snapshot, triangulate_region};
+use terraquilt::db::{Db, Policy, Snapshot, triangulate_region};
 use terraquilt::format;
 use terraquilt::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use terraquilt::height::crs::{Crs, DatumChoice, Transform};
@@ -568,5 +568,28 @@ fn a_tif_without_a_step_lies_on_the_posts() {
     for (k, z) in z.iter().enumerate() {
         let there = (row.round() as usize + k / cols) * width + column.round() as usize + k % cols;
         assert_eq!(*z, samples[there], "column {}, row {}", k % cols, k / cols);
+    }
+}
+
+#[test]
+fn points_far_out_of_the_world_have_no_height() {
+    let s = Scratch::new(Policy::Newest);
+    s.ingest(&random_grid(&mut Random::new(5), "s", 60));
+    let now = s.db.snapshot(None).unwrap();
+    let b = now.bounds().unwrap();
+    let inside = [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0];
+    for far in [
+        [[1.7e308, 0.0], [1.79e308, 0.0]],
+        [[-1.79e308, -1.7e308], [1.79e308, 1.7e308]],
+        [[100000000000000016384.0, 0.0], [100000000000000032768.0, 0.0]],
+        // Neighbours among floats, within the world.
+        [[1073741823.9999999, 0.0], [1073741823.9999998, 0.0]],
+        [[f64::NAN, 0.0], [f64::INFINITY, f64::NEG_INFINITY]],
+    ] {
+        let points = [far[0], inside, far[1]];
+        let z = now.heights(&points, &Tolerance::Constant(0.0), Blend::Exact).unwrap();
+        assert!(z[0].is_none() && z[2].is_none(), "{far:?}");
+        let alone = now.heights(&[inside], &Tolerance::Constant(0.0), Blend::Exact).unwrap();
+        assert_eq!(z[1].as_ref().map(|e| e.z.to_bits()), alone[0].as_ref().map(|e| e.z.to_bits()));
     }
 }

@@ -32,6 +32,7 @@ pub mod query;
 mod reader;
 mod rebuild;
 mod redundant;
+mod relief;
 mod relocate;
 mod resample;
 mod root;

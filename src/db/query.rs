@@ -5,7 +5,7 @@ use super::database::Snapshot;
 use super::seams::Fields;
 use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
-use crate::base::lattice::{Bounds, Point};
+use crate::base::lattice::{Bounds, Point, WORLD_HALF};
 use crate::base::polygon::Polygon;
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
@@ -95,7 +95,7 @@ pub fn set_hash(records: &[Record]) -> String {
 }
 
 impl Snapshot {
-    /// Lowest and highest valid height of all surveys, metres.
+    /// Lowest and highest valid height of all samples, metres; the surface may go beyond.
     pub fn z_range(&self) -> Option<[f64; 2]> {
         let mut entries = self.entries().peekable();
         entries.peek()?;
@@ -133,7 +133,7 @@ impl Snapshot {
                 None => Region { polygon: Vec::new() },
             },
         };
-        if let (Tolerance::Camera(c), Some(z)) = (&query.tolerance, self.z_range()) {
+        if let (Tolerance::Camera(c), Some(z)) = (&query.tolerance, self.relief(query.how)) {
             if self.crs.unit == AxisUnit::Degree {
                 return Err(Error::unsupported(
                     &self.crs.code,
@@ -181,6 +181,8 @@ impl Snapshot {
         Ok(Area::Polygon(Arc::new(Polygon::new("view of the camera", vec![vec![seen]])?)))
     }
 
+    /// What a tolerance is in this version. A camera's is bounded by the heights of the samples, however seams are drawn: so
+    /// `--seams` moves the surface and changes no weight.
     pub(super) fn cut(&self, tolerance: &Tolerance) -> Box<dyn Cut> {
         let z = self.z_range().unwrap_or([0.0; 2]);
         match tolerance {
@@ -299,13 +301,7 @@ impl Snapshot {
         let data = Data {
             view: &self.view,
             kind: self.kind(),
-            seams: Fields {
-                view: &self.view,
-                unit: self.unit,
-                axis: self.crs.unit,
-                consistent: how.seams == Seams::Consistent,
-                smooth: self.kind() == Kind::Bicubic,
-            },
+            seams: self.fields(how),
             surveys: keep,
             patches: surface.patches.iter().map(|p| (p.survey, p.place)).collect(),
             shapes: Cache::new(shapes_cached(self.kind())),
@@ -348,8 +344,10 @@ impl Snapshot {
             return Err(Error::invalid("tolerance", format!("{c} is no error; give metres, 0 or more")));
         }
         let mut out = vec![None; points.len()];
+        // No survey reaches beyond the world of the lattice.
+        let reach = WORLD_HALF as f64 * self.unit.size();
         let mut order: Vec<usize> =
-            (0..points.len()).filter(|k| points[*k].iter().all(|v| v.is_finite())).collect();
+            (0..points.len()).filter(|k| points[*k].iter().all(|v| v.abs() <= reach)).collect();
         self.scattered_within(points, &mut order, tolerance, how, slopes, &mut out)?;
         Ok(out)
     }
@@ -381,9 +379,12 @@ impl Snapshot {
             let mid = (b[axis] + b[axis + 2]) / 2.0;
             order.sort_by(|x, y| (points[*x][axis] > mid).cmp(&(points[*y][axis] > mid)).then(x.cmp(y)));
             let split = order.partition_point(|k| points[*k][axis] <= mid);
-            let (left, right) = order.split_at_mut(split);
-            self.scattered_within(points, left, tolerance, how, slopes, out)?;
-            return self.scattered_within(points, right, tolerance, how, slopes, out);
+            // Far out the middle of two neighbouring floats is one of them: such points stay together.
+            if 0 < split && split < order.len() {
+                let (left, right) = order.split_at_mut(split);
+                self.scattered_within(points, left, tolerance, how, slopes, out)?;
+                return self.scattered_within(points, right, tolerance, how, slopes, out);
+            }
         }
         // A region around the points: any superset gives the same heights.
         let pad =

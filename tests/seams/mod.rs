@@ -1,5 +1,7 @@
 //! Must show: seams between surveys that disagree do not show (section 15 of the LOD-space specification).
 
+mod camera;
+mod smooth;
 mod table;
 
 use crate::certified::reference::{Survey, World};
@@ -10,6 +12,7 @@ use terraquilt::base::date::Date;
 use terraquilt::db::query::Query;
 use terraquilt::db::{Db, Policy};
 use terraquilt::format;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::{Affine, Window};
 use terraquilt::height::surface::{Blend, Evaluation, How, Seams};
 
@@ -45,7 +48,11 @@ fn helens(which: &[usize]) -> Vec<Grid> {
 }
 
 fn world(grids: &[Grid], policy: Policy) -> World {
-    let s = Scratch::new(policy);
+    world_of(Kind::Bilinear, grids, policy)
+}
+
+fn world_of(kind: Kind, grids: &[Grid], policy: Policy) -> World {
+    let s = Scratch::of(policy, kind);
     grids.iter().for_each(|g| {
         s.ingest(g);
     });
@@ -117,13 +124,18 @@ fn scatter(w: &World, r: &mut Random, count: usize) -> Vec<[f64; 2]> {
 
 #[test]
 fn what_seams_add_is_told_and_taken_away_again() {
-    let w = world(&helens(&[0, 1, 3]), Policy::Newest);
-    let points = scatter(&w, &mut Random::new(seeds(1)[0]), 1500);
+    for kind in Kind::ALL {
+        told_and_taken_away(&world_of(kind, &helens(&[0, 1, 3]), Policy::Newest));
+    }
+}
+
+fn told_and_taken_away(w: &World) {
+    let points = scatter(w, &mut Random::new(seeds(1)[0]), 1500);
     let (mut moved, mut most, mut by_who) = (0, 0.0f64, 0);
     for z in [0.0, 1.0, 5.0, 20.0, 100.0] {
         let ask = Ask::Metres(z);
-        let off = heights(&w, &ask, Seams::Off, &points);
-        let on = heights(&w, &ask, Seams::All, &points);
+        let off = heights(w, &ask, Seams::Off, &points);
+        let on = heights(w, &ask, Seams::All, &points);
         let ground = w.snapshot.surface(&Query { how: how(Seams::All), ..ask.query(None) }).unwrap();
         for (n, (p, (off, on))) in points.iter().zip(off.iter().zip(&on)).enumerate() {
             let (Some(off), Some(on)) = (off, on) else {
@@ -160,9 +172,9 @@ fn what_seams_add_is_told_and_taken_away_again() {
     );
     assert!(moved > 3000 && most > 10.0);
     // From a region of its own, each point is bent alike.
-    let all = heights(&w, &Ask::Metres(5.0), Seams::All, &points);
+    let all = heights(w, &Ask::Metres(5.0), Seams::All, &points);
     for (p, e) in points.iter().zip(&all).step_by(97) {
-        let alone = heights(&w, &Ask::Metres(5.0), Seams::All, &[*p]).remove(0);
+        let alone = heights(w, &Ask::Metres(5.0), Seams::All, &[*p]).remove(0);
         let apart = (alone.as_ref().map_or(0.0, |a| a.z) - e.as_ref().map_or(0.0, |e| e.z)).abs();
         assert!(apart <= 1e-9 * w.range() && alone.is_some() == e.is_some(), "{p:?}: {alone:?} {e:?}");
     }
@@ -229,7 +241,7 @@ fn any_order_and_any_removal_gives_the_same_field() {
 
 #[test]
 fn corrections_have_no_jump_and_slopes_are_their_derivatives() {
-    let (mut lines, mut worst, mut off) = (0, 0.0f64, Vec::new());
+    let (mut lines, mut worst, mut off, mut kinks) = (0, 0.0f64, Vec::new(), 0);
     for seed in seeds(8) {
         let mut r = Random::new(seed + 61_000);
         let grids: Vec<Grid> = (0..3).map(|k| random_grid(&mut r, &format!("s{k}"), 110)).collect();
@@ -268,6 +280,12 @@ fn corrections_have_no_jump_and_slopes_are_their_derivatives() {
                 if let (Some(g), Some(e), Some(w), Some(n), Some(s)) =
                     (g, &east[k], &west[k], &north[k], &south[k])
                 {
+                    // Points on lines between cells have two slopes.
+                    let kink = (e.z + w.z - 2.0 * g.z).abs().max((n.z + s.z - 2.0 * g.z).abs()) / h;
+                    if kink > 1e-3 {
+                        kinks += 1;
+                        continue;
+                    }
                     let d = [(e.z - w.z) / (2.0 * h), (n.z - s.z) / (2.0 * h)];
                     off.push((d[0] - g.gradient[0]).hypot(d[1] - g.gradient[1]) / (1.0 + d[0].hypot(d[1])));
                 }
@@ -282,8 +300,8 @@ fn corrections_have_no_jump_and_slopes_are_their_derivatives() {
         at(0.5),
         at(0.85)
     );
-    // Points on lines between cells have two slopes.
-    assert!(lines > 1000 && at(0.5) < 1e-4);
+    println!("{kinks} points on kinks left out");
+    assert!(lines > 1000 && off.len() > 8000 && at(0.5) < 1e-4 && at(0.85) < 1e-3);
 }
 
 #[test]
