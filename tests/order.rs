@@ -101,7 +101,7 @@ fn the_kit_in_two_orders_has_one_fingerprint() {
 
 /// `cargo test --release --test main the_kit_in_twenty_orders -- --ignored --nocapture`
 #[test]
-#[ignore = "a quarter of an hour; the command is in its comment"]
+#[ignore = "minutes; the command is in its comment"]
 fn the_kit_in_twenty_orders_has_one_fingerprint() {
     let Some(surveys) = kit() else { return };
     for m in MANNERS {
