@@ -6,17 +6,18 @@
 use super::change::Progress;
 use super::errors::errors;
 use super::head::{Declaration, Head, Tile};
+use super::levels::{decimate, vertices_near};
 use super::reader::{BlockCache, SampleReader};
 use super::resample::{Resampling, warp_of};
 use super::tile::{Directory, blocks_of};
 use crate::base::{Error, Result, limits};
-use crate::height::block::{BLOCK, RawBlock, encode};
+use crate::height::block::{BLOCK, encode};
 use crate::height::cells::{Block, Fill};
 use crate::height::frame::CellRect;
 use crate::height::lod::{Fact, LEVEL_MAX, Place, places_meeting, places_touching_posts};
 use crate::height::patch::{Kind, bottom, id};
 use crate::store::segment::{Layered, PageRef, SegmentWriter};
-use crate::store::table::{PageAddress, PatchEntry, PatchPage, block_slot, slot};
+use crate::store::table::{PAGE_BLOCKS, PageAddress, PatchEntry, PatchPage, block_slot, slot};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -71,13 +72,20 @@ pub fn build(
         Some(_) if posts.is_empty() => Ok(*posts),
         Some(w) => w.target_rect(posts, &input.declaration.name),
     };
-    let mut posts = CellRect::new(0, 0, 0, 0);
-    for (t, _) in &input.tiles {
-        posts = posts.union(&own(&t.posts)?);
-    }
     let mut dirty = CellRect::new(0, 0, 0, 0);
     for r in &input.dirty {
         dirty = dirty.union(&own(r)?);
+    }
+    // Every post that is there or comes; a larger rectangle does no harm.
+    let mut posts = dirty;
+    match (&warp, &input.before) {
+        (None, _) => posts = input.tiles.iter().fold(posts, |r, (t, _)| r.union(&t.posts)),
+        // Pages tell where resampled posts are: no tile is placed again.
+        (Some(_), Some(b)) => {
+            let level_0 = b.head.pages.iter().filter(|(a, _)| a.level == 0);
+            posts = level_0.fold(posts, |r, (a, _)| r.union(&page_posts(*a)));
+        }
+        (Some(_), None) => {}
     }
     let extent = posts.union(&dirty);
     let span = extent.width() as u64 * extent.height() as u64;
@@ -331,17 +339,6 @@ impl Builder<'_> {
         Ok(())
     }
 
-    /// Vertices of a level that posts can change: `[i0, i1) x [j0, j1)`.
-    fn vertices_near(posts: &CellRect, level: u8) -> CellRect {
-        let r = 1i64 << level;
-        CellRect::new(
-            posts.i0.div_euclid(r),
-            posts.j0.div_euclid(r),
-            (posts.i1 - 1).div_euclid(r) + 2,
-            (posts.j1 - 1).div_euclid(r) + 2,
-        )
-    }
-
     /// Decimates the level below and fills the vertices without a sample.
     fn level(
         &mut self,
@@ -352,7 +349,7 @@ impl Builder<'_> {
     ) -> Result<()> {
         let all = self.posts;
         let posts = if self.is_new(level) { all } else { self.dirty };
-        let blocks = blocks_of(&Self::vertices_near(&posts, level));
+        let blocks = blocks_of(&vertices_near(&posts, level));
         for bj in blocks.j0..blocks.j1 {
             progress.check()?;
             let row: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader| {
@@ -487,118 +484,13 @@ impl Builder<'_> {
     }
 }
 
+/// The posts of the sample blocks of a level-0 page.
+fn page_posts(at: PageAddress) -> CellRect {
+    let side = i64::from(PAGE_BLOCKS) * BLOCK;
+    let (i, j) = (i64::from(at.i) * side, i64::from(at.j) * side);
+    CellRect::new(i, j, i + side, j + side)
+}
+
 fn page_places(at: PageAddress) -> impl Iterator<Item = (i32, i32)> {
     (0..256).map(move |s| at.place(s)).map(|p| (p.i, p.j))
-}
-
-/// One block of a level: every other vertex of the level below, with fills. `None` if nothing is in it.
-fn decimate(reader: &SampleReader, level: u8, bi: i64, bj: i64, all: &CellRect) -> Result<Option<RawBlock>> {
-    const N: usize = BLOCK as usize;
-    let t = reader.declaration.sample_type;
-    let w = t.bytes();
-    let mut samples = vec![0u8; N * N * w];
-    let mut valid = vec![0u8; N * N];
-    for q in 0..4usize {
-        let (ci, cj) = (2 * bi + (q as i64 & 1), 2 * bj + (q as i64 >> 1));
-        let raws = if level == 1 {
-            reader.post_blocks(ci, cj)?
-        } else {
-            match (reader.levels)(level - 1, ci, cj)? {
-                Some(at) => vec![reader.raw(&at)?],
-                None => Vec::new(),
-            }
-        };
-        let (oi, oj) = ((q & 1) * N / 2, (q >> 1) * N / 2);
-        for raw in raws {
-            for r in (raw.row % 2..raw.rows).step_by(2) {
-                for c in (raw.col % 2..raw.cols).step_by(2) {
-                    let k = r * raw.cols + c;
-                    if raw.valid.as_ref().is_none_or(|v| v[k] != 0) {
-                        let at = (oj + (raw.row + r) / 2) * N + oi + (raw.col + c) / 2;
-                        samples[at * w..(at + 1) * w].copy_from_slice(&raw.samples[k * w..(k + 1) * w]);
-                        valid[at] = 1;
-                    }
-                }
-            }
-        }
-    }
-    // The smallest rectangle that holds every vertex with a sample or a fill: a function of the samples near.
-    let near = Builder::vertices_near(all, level);
-    let own = CellRect::new(bi * BLOCK, bj * BLOCK, (bi + 1) * BLOCK, (bj + 1) * BLOCK).intersect(&near);
-    let mut filled = vec![None; N * N];
-    let mut held = CellRect::new(0, 0, 0, 0);
-    for j in own.j0..own.j1 {
-        for i in own.i0..own.i1 {
-            let (a, b) = (i - bi * BLOCK, j - bj * BLOCK);
-            let k = (b * BLOCK + a) as usize;
-            if valid[k] == 0 {
-                filled[k] = fill(reader, level, i, j, all)?;
-            }
-            if valid[k] != 0 || filled[k].is_some() {
-                held = held.union(&CellRect::new(a, b, a + 1, b + 1));
-            }
-        }
-    }
-    if held.is_empty() {
-        return Ok(None);
-    }
-    let (col, row) = (held.i0 as usize, held.j0 as usize);
-    let (cols, rows) = (held.width() as usize, held.height() as usize);
-    let mut cut_samples = Vec::with_capacity(cols * rows * w);
-    let mut cut_valid = Vec::with_capacity(cols * rows);
-    let mut fills = Vec::new();
-    for b in row..row + rows {
-        cut_samples.extend_from_slice(&samples[(b * N + col) * w..(b * N + col + cols) * w]);
-        cut_valid.extend_from_slice(&valid[b * N + col..b * N + col + cols]);
-        for k in b * N + col..b * N + col + cols {
-            if valid[k] == 0 {
-                fills.push(filled[k].unwrap_or(0.0));
-            }
-        }
-    }
-    let voids = !fills.is_empty();
-    Ok(Some(RawBlock {
-        col,
-        row,
-        cols,
-        rows,
-        sample_type: t,
-        samples: cut_samples,
-        valid: voids.then_some(cut_valid),
-        fills,
-    }))
-}
-
-/// The fill of a vertex without a sample: the mean of the valid samples less than one level step away in both axes,
-/// summed in index order (section 9), rounded to `f32`.
-fn fill(reader: &SampleReader, level: u8, i: i64, j: i64, all: &CellRect) -> Result<Option<f32>> {
-    let r = 1i64 << level;
-    let window = CellRect::new(i * r - r + 1, j * r - r + 1, i * r + r, j * r + r).intersect(all);
-    if window.is_empty() {
-        return Ok(None);
-    }
-    let blocks = blocks_of(&window);
-    let mut all_void = true;
-    for bj in blocks.j0..blocks.j1 {
-        for bi in blocks.i0..blocks.i1 {
-            all_void = all_void && reader.is_void(bi, bj)?;
-        }
-    }
-    if all_void {
-        return Ok(None);
-    }
-    let (mut sum, mut n) = (0.0f64, 0u64);
-    // Row bands of one block height keep memory small; order stays row by row.
-    let mut j0 = window.j0;
-    while j0 < window.j1 {
-        let j1 = ((j0.div_euclid(BLOCK) + 1) * BLOCK).min(window.j1);
-        for h in reader.posts(&CellRect::new(window.i0, j0, window.i1, j1))? {
-            if !h.is_nan() {
-                sum += h;
-                n += 1;
-            }
-        }
-        j0 = j1;
-    }
-    Ok((n > 0).then(|| (sum / n as f64) as f32))
 }

@@ -24,6 +24,7 @@ mod export;
 mod fingerprint;
 mod head;
 mod leave;
+mod levels;
 mod listing;
 mod pages;
 mod provenance;
