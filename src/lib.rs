@@ -13,12 +13,16 @@
 //! - [`analysis`]: profiles, contours, volumes: answers computed from the surface
 //! - [`format`]: other people's formats
 //! - [`cli`]: the command line
+//! - [`server`], [`client`]: the daemon and those who ask it, over [`wire`]
 
 pub mod analysis;
 pub mod base;
 pub mod cli;
+pub mod client;
 pub mod db;
 pub mod format;
 pub mod height;
 pub mod mesh;
+pub mod server;
 pub mod store;
+pub mod wire;

@@ -38,6 +38,9 @@ pub enum Error {
         "catalog of the database (catalog.sqlite): {0}; make room if the disk is full; if it is damaged, `terraquilt rebuild DB` makes it again from the other files"
     )]
     Catalog(String),
+    /// A server answered that it could not, or did not answer.
+    #[error("{server}: {message}")]
+    Remote { server: String, message: String },
     /// The work was stopped by the caller (Ctrl-C); nothing was changed.
     #[error("stopped; nothing was changed")]
     Stopped,

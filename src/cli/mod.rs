@@ -20,7 +20,7 @@ mod tolerance;
 mod upkeep;
 
 use crate::base::{Error, Result};
-use clap::{Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -72,18 +72,37 @@ enum Command {
     Rebuild(upkeep::Rebuild),
 }
 
+/// A word of the command line that another room carries out.
+pub struct Door {
+    pub command: clap::Command,
+    pub run: fn(&ArgMatches) -> Result<bool>,
+}
+
 /// Runs the program. Never panics on input; a closed pipe is no crash.
-pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCode {
     // A point such as -119.5,37.6 is a value, not an option: a leading space says so, and is trimmed later.
     let args = args.into_iter().map(|a| match a.to_str() {
         Some(t) if is_negative_point(t) => OsString::from(format!(" {t}")),
         _ => a,
     });
-    let cli = match Cli::try_parse_from(args) {
-        Ok(c) => c,
+    let whole = doors.iter().fold(Cli::command(), |c, d| c.subcommand(d.command.clone()));
+    let matches = match whole.try_get_matches_from(args) {
+        Ok(m) => m,
         Err(e) => {
             let _ = e.print();
             return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+        }
+    };
+    if let Some((word, inner)) = matches.subcommand()
+        && let Some(door) = doors.iter().find(|d| d.command.get_name() == word)
+    {
+        return finish((door.run)(inner));
+    }
+    let cli = match Cli::from_arg_matches(&matches) {
+        Ok(c) => c,
+        Err(e) => {
+            let _ = e.print();
+            return ExitCode::from(2);
         }
     };
     let done = match cli.command {

@@ -332,6 +332,11 @@ impl Db {
         (self.catalog)(false)?.versions()
     }
 
+    /// Number of the newest version; 0 before the first commit.
+    pub fn newest(&self) -> Result<u64> {
+        Ok((self.catalog)(false)?.latest()?.map_or(0, |v| v.number))
+    }
+
     /// The version that an operation made.
     pub fn operation(&self, id: &str) -> Result<Option<u64>> {
         (self.catalog)(false)?.operation(id)

@@ -1,0 +1,104 @@
+//! The database as it is now: the newest version, opened once and shared by all who ask; who waits for newer ones is told.
+
+use crate::base::Result;
+use crate::db::{Db, Snapshot};
+use arc_swap::ArcSwap;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Older versions that stay open, so that asking for them again is cheap.
+const OLDER_OPEN: usize = 4;
+/// How often the catalog is asked for commits of other processes.
+const LOOK_EVERY: Duration = Duration::from_millis(500);
+
+/// A version that has become the newest.
+#[derive(Clone)]
+pub struct Arrival {
+    pub snapshot: Arc<Snapshot>,
+}
+
+/// A database and its newest version.
+pub struct Live {
+    db: Arc<Db>,
+    newest: ArcSwap<Snapshot>,
+    arrivals: watch::Sender<Arrival>,
+    older: Mutex<VecDeque<Arc<Snapshot>>>,
+    looking: Mutex<()>,
+}
+
+impl Live {
+    pub fn open(db: Db) -> Result<Live> {
+        let newest = Arc::new(db.snapshot(None)?);
+        let (arrivals, _) = watch::channel(Arrival { snapshot: newest.clone() });
+        Ok(Live {
+            db: Arc::new(db),
+            newest: ArcSwap::new(newest),
+            arrivals,
+            older: Mutex::default(),
+            looking: Mutex::default(),
+        })
+    }
+
+    pub fn db(&self) -> &Arc<Db> {
+        &self.db
+    }
+
+    /// The newest version that was seen. Never waits.
+    pub fn newest(&self) -> Arc<Snapshot> {
+        self.newest.load_full()
+    }
+
+    /// A version; 0: the newest. Reads the catalog unless it is open already: call it where blocking is allowed.
+    pub fn snapshot(&self, at: u64) -> Result<Arc<Snapshot>> {
+        let newest = self.newest();
+        if at == 0 || newest.number() == at {
+            return Ok(newest);
+        }
+        let mut older = self.older.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(k) = older.iter().position(|s| s.number() == at) {
+            let found = older.remove(k).expect("the position was found");
+            older.push_front(found.clone());
+            return Ok(found);
+        }
+        let opened = Arc::new(self.db.snapshot(Some(at))?);
+        older.push_front(opened.clone());
+        older.truncate(OLDER_OPEN);
+        Ok(opened)
+    }
+
+    /// Looks for a newer version and makes it the newest. Returns its number.
+    pub fn look(&self) -> Result<u64> {
+        let _one = self.looking.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = self.db.newest()?;
+        if found > self.newest().number() {
+            let snapshot = Arc::new(self.db.snapshot(Some(found))?);
+            self.newest.store(snapshot.clone());
+            self.arrivals.send_replace(Arrival { snapshot });
+        }
+        Ok(self.newest().number())
+    }
+
+    /// Tells of each version that becomes the newest; of several in a row only of the last.
+    pub fn arrivals(&self) -> watch::Receiver<Arrival> {
+        self.arrivals.subscribe()
+    }
+
+    /// Looks for commits of other processes until told to stop.
+    pub fn follow(self: &Arc<Self>, mut stopped: watch::Receiver<bool>) {
+        let live = self.clone();
+        tokio::spawn(async move {
+            while !*stopped.borrow() {
+                tokio::select! {
+                    _ = tokio::time::sleep(LOOK_EVERY) => {}
+                    _ = stopped.changed() => break,
+                }
+                let live = live.clone();
+                if let Ok(Err(e)) = tokio::task::spawn_blocking(move || live.look()).await {
+                    tracing::warn!("looking for new versions: {e}");
+                }
+            }
+        });
+    }
+}

@@ -1,0 +1,5 @@
+//! Messages become our types here, once; behind it our types are trusted.
+
+mod question;
+
+pub use question::{area, how, pairs, query, tolerance};

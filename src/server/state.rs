@@ -1,0 +1,22 @@
+//! What all calls share.
+
+use super::operations::Operations;
+use super::{Live, Pools, Settings};
+use crate::base::Result;
+use crate::db::Db;
+use std::sync::Arc;
+
+/// What all calls share.
+pub struct State {
+    pub settings: Settings,
+    pub live: Arc<Live>,
+    pub pools: Pools,
+    pub operations: Operations,
+}
+
+impl State {
+    pub fn open(settings: Settings) -> Result<State> {
+        let live = Arc::new(Live::open(Db::open(&settings.db)?)?);
+        Ok(State { live, pools: Pools::new()?, operations: Operations::default(), settings })
+    }
+}
