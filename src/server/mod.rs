@@ -16,6 +16,7 @@ mod settings;
 mod state;
 mod status;
 
+pub use grpc::routes;
 pub use live::{Arrival, Live};
 pub use pools::{Answer, Pools};
 pub use settings::Settings;

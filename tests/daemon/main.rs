@@ -4,5 +4,8 @@
 /// Databases, servers and clients for these tests.
 mod support;
 
+/// Any bytes and any valid message as a request: a status or an answer, never a panic.
+mod requests;
+
 /// A server starts, answers and stops.
 mod serving;
