@@ -25,7 +25,7 @@ use tonic::{Code, Request, Response, Status, Streaming};
 const AHEAD: usize = 4;
 /// Samples are made durable when there are so many bytes of them, or after so long.
 const SYNC_BYTES: u64 = 8 << 20;
-const SYNC_AFTER: Duration = Duration::from_secs(1);
+const SYNC_AFTER: Duration = Duration::from_millis(250);
 /// How often an upload that is coming in says that it is alive.
 const TOUCH_EVERY: Duration = Duration::from_secs(10);
 /// Spans of rows in one reply.
