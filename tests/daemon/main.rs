@@ -3,9 +3,15 @@
 
 /// Databases, servers and clients for these tests.
 mod support;
+/// Surveys as uploads.
+mod survey;
 
 /// Any bytes and any valid message as a request: a status or an answer, never a panic.
 mod requests;
 
+/// Surveys arrive.
+mod arrivals;
+/// The server is killed while surveys arrive.
+mod killed;
 /// A server starts, answers and stops.
 mod serving;
