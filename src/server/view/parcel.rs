@@ -114,8 +114,8 @@ impl Parcel {
 }
 
 fn patch(snapshot: &Snapshot, x: &Member, payload: bool) -> Result<v1::Patch> {
-    let payload = if payload { Bytes::new() } else { Bytes::new() };
-    Ok(v1::Patch { handle: x.handle, payload, ..model::patch(&x.record) })
+    let payload = if payload { snapshot.payload(&x.record)? } else { Bytes::new() };
+    Ok(model::patch(&x.record, x.handle, payload))
 }
 
 fn change(x: &Member, moved: bool) -> v1::PatchChange {

@@ -1,5 +1,6 @@
 //! What a client holds.
 
+use crate::db::MaskPart;
 use crate::store::quadtree::Record;
 use crate::wire::v1;
 use bytes::Bytes;
@@ -26,6 +27,12 @@ pub struct BlockKey {
 pub struct Block {
     pub key: BlockKey,
     pub bytes: Bytes,
+}
+
+impl From<MaskPart> for Block {
+    fn from(m: MaskPart) -> Block {
+        Block { key: BlockKey { survey: m.survey.0, level: m.level, i: m.i, j: m.j }, bytes: m.cells }
+    }
 }
 
 /// What a client holds after it applied a difference. What did not change from one set to the next is shared.

@@ -51,7 +51,10 @@ impl Target {
             let what = "patches of a view (ask for a smaller region or a larger tolerance)";
             return Err(Error::limit(what, patches_max, n));
         }
-        let (masks, corrections) = (Vec::new(), Vec::new());
+        let (mut masks, corrections) = (Vec::new(), Vec::new());
+        if !manner.descriptors_only {
+            masks = snapshot.masks(&selection.region)?.into_iter().map(Block::from).collect();
+        }
         let mut numbers: Vec<u32> = Vec::new();
         let mut add = |n: u32| {
             if let Err(k) = numbers.binary_search(&n) {
@@ -65,7 +68,7 @@ impl Target {
             if current && let Some(frame) = held.survey(n) {
                 return Ok(frame.clone());
             }
-            Ok(Arc::new(model::survey_frame(snapshot.survey_by_number(SurveyNumber(n))?)))
+            Ok(Arc::new(model::survey_frame(snapshot, SurveyNumber(n))?))
         });
         let ground = match &held.ground {
             Some(g) if g.version == snapshot.number() => g.clone(),
