@@ -6,6 +6,7 @@
 //! ```
 
 use super::awaiting::AWAITING;
+use super::payload::Payloads;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -72,6 +73,7 @@ pub struct Db {
     policy: Policy,
     kind: Kind,
     unit: LatticeUnit,
+    payloads: Arc<Payloads>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -300,6 +302,7 @@ impl Db {
             policy,
             kind,
             unit: LatticeUnit { exponent },
+            payloads: Arc::new(Payloads::new()),
         })
     }
 
@@ -355,6 +358,7 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: lease.map(Arc::new),
         })
     }
@@ -410,6 +414,8 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
+    /// Shared by all snapshots of a database.
+    pub(super) payloads: Arc<Payloads>,
     _lease: Option<Arc<Lease>>,
 }
 
@@ -443,6 +449,7 @@ impl Snapshot {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: self._lease.clone(),
         }
     }

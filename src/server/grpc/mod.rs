@@ -3,9 +3,14 @@
 mod arrival;
 mod files;
 mod ingest;
+mod query;
+mod view;
 
 use super::State;
 use crate::wire;
+use crate::wire::MESSAGE_BYTES_MAX;
+use crate::wire::v1::query_server::QueryServer;
+use crate::wire::v1::view_server::ViewServer;
 use axum::Router;
 use std::sync::Arc;
 use tonic::service::Routes;
@@ -16,6 +21,10 @@ pub fn routes(state: &Arc<State>) -> Router {
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .build_v1()
         .expect("the descriptors were made by the build");
-    let routes = Routes::new(v1).add_service(ingest::service(state));
+    let view = ViewServer::new(view::ViewService::new(state.clone()));
+    let routes = Routes::new(v1)
+        .add_service(ingest::service(state))
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
+        .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
     routes.into_axum_router()
 }
