@@ -282,8 +282,7 @@ impl Snapshot {
         let keep: Vec<SurveyNumber> =
             self.entries().map(|e| e.number).filter(|s| used.contains(s) || near.contains(s)).collect();
         let slot: HashMap<SurveyNumber, usize> = keep.iter().enumerate().map(|(k, s)| (*s, k)).collect();
-        let fields =
-            keep.iter().map(|s| SurveyField::new(self.view.geometry_of(*s), self.unit)).collect();
+        let fields = keep.iter().map(|s| SurveyField::new(self.view.geometry_of(*s), self.unit)).collect();
         let patches = selection
             .records
             .iter()
