@@ -1,17 +1,24 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod heights;
+mod outgoing;
+
 use super::State;
-use crate::wire;
+use crate::wire::v1::heights_server::HeightsServer;
+use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
 use tonic::service::Routes;
 
 /// Every service, and reflection.
-pub fn routes(_state: &Arc<State>) -> Router {
+pub fn routes(state: &Arc<State>) -> Router {
     let v1 = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .build_v1()
         .expect("the descriptors were made by the build");
-    let routes = Routes::new(v1);
+    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let routes = Routes::new(v1).add_service(heights);
     routes.into_axum_router()
 }
