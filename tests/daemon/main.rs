@@ -4,5 +4,10 @@
 /// Databases, servers and clients for these tests.
 mod support;
 
+/// A database of Mount St. Helens.
+mod hills;
+
+/// Points, lines and rasters from a server are those of the database, bit for bit.
+mod heights;
 /// A server starts, answers and stops.
 mod serving;
