@@ -2,9 +2,11 @@
 //!
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
 //! - [`ingest`]: sends surveys;
+//! - [`heights`]: points, lines and rasters;
 //! - [`view`]: a view that the server keeps in step.
 
 mod connection;
+pub mod heights;
 pub mod ingest;
 pub mod view;
 

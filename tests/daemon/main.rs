@@ -13,5 +13,10 @@ mod requests;
 mod arrivals;
 /// The server is killed while surveys arrive.
 mod killed;
+/// A database of Mount St. Helens.
+mod hills;
+
+/// Points, lines and rasters from a server are those of the database, bit for bit.
+mod heights;
 /// A server starts, answers and stops.
 mod serving;

@@ -2,13 +2,16 @@
 
 mod arrival;
 mod files;
+mod heights;
 mod ingest;
+mod outgoing;
 mod query;
 mod view;
 
 use super::State;
 use crate::wire;
 use crate::wire::MESSAGE_BYTES_MAX;
+use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::view_server::ViewServer;
 use axum::Router;
@@ -22,7 +25,11 @@ pub fn routes(state: &Arc<State>) -> Router {
         .build_v1()
         .expect("the descriptors were made by the build");
     let view = ViewServer::new(view::ViewService::new(state.clone()));
+    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let routes = Routes::new(v1)
+        .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(QueryServer::new(query::QueryService::new(state.clone())))
         .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
