@@ -1,5 +1,8 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod catalog;
+mod report;
+
 use super::State;
 use crate::wire;
 use axum::Router;
@@ -7,11 +10,11 @@ use std::sync::Arc;
 use tonic::service::Routes;
 
 /// Every service, and reflection.
-pub fn routes(_state: &Arc<State>) -> Router {
+pub fn routes(state: &Arc<State>) -> Router {
     let v1 = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .build_v1()
         .expect("the descriptors were made by the build");
-    let routes = Routes::new(v1);
+    let routes = Routes::new(v1).add_service(catalog::service(state));
     routes.into_axum_router()
 }
