@@ -6,6 +6,7 @@
 //! ```
 
 use super::awaiting::AWAITING;
+use super::payload::Payloads;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -74,6 +75,7 @@ pub struct Db {
     policy: Policy,
     kind: Kind,
     unit: LatticeUnit,
+    payloads: Arc<Payloads>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -302,6 +304,7 @@ impl Db {
             policy,
             kind,
             unit: LatticeUnit { exponent },
+            payloads: Arc::new(Payloads::new()),
         })
     }
 
@@ -357,6 +360,7 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: lease.map(Arc::new),
         })
     }
@@ -412,6 +416,8 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
+    /// Shared by all snapshots of a database.
+    pub(super) payloads: Arc<Payloads>,
     _lease: Option<Arc<Lease>>,
 }
 
@@ -445,6 +451,7 @@ impl Snapshot {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: self._lease.clone(),
         }
     }

@@ -26,7 +26,9 @@ mod head;
 mod leave;
 mod levels;
 mod listing;
+mod masks;
 mod pages;
+mod payload;
 mod provenance;
 mod prune;
 pub mod query;
@@ -60,6 +62,7 @@ pub use listing::{
     BoxRow, BoxWalk, DeliveredRow, Info, NodeRow, SurveyRow, TileRow, TreeNode, TreeWalk, boxes, info, more_boxes, survey_row,
     surveys, tiles, tree, vertical_datum,
 };
+pub use masks::MaskPart;
 pub use provenance::{Provenance, Share};
 pub use prune::PruneOutcome;
 pub use rebuild::{RebuildOutcome, rebuild, rebuild_on};

@@ -1,6 +1,7 @@
 //! A version as tables: pages read on demand, cached; and what the rules of LOD space see of it.
 
 use super::head::Head;
+use super::masks::Masks;
 use super::reader::{BlockCache, SampleReader, block_cache};
 use super::root::{Root, SurveyEntry};
 use super::seams::SeamCache;
@@ -126,6 +127,8 @@ pub struct View {
     blocks: BlockCache,
     /// Correction fields and what they are made of.
     pub seams: SeamCache,
+    /// Blocks of masks.
+    pub masks: Masks,
 }
 
 impl View {
@@ -144,6 +147,7 @@ impl View {
             directories: Cache::new(1024),
             blocks: block_cache(BLOCK_BYTES_CACHED),
             seams: SeamCache::new(),
+            masks: Masks::new(),
             tree: root.tree,
             files,
             entries,

@@ -9,6 +9,7 @@ use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::db::query::Area;
 use crate::db::{self, Change, Progress, Snapshot};
+use crate::height::crs::AxisUnit;
 use crate::height::lod::SurveyNumber;
 use crate::wire::v1;
 use crate::wire::v1::catalog_server::{Catalog, CatalogServer};
@@ -84,6 +85,10 @@ impl Catalog for Service {
                 json,
                 vertical_datum: datum.unwrap_or_default(),
                 surveys: s.entries().count() as u64,
+                metres_per_unit: match s.crs().unit {
+                    AxisUnit::Metre(m) => m,
+                    AxisUnit::Degree => 0.0,
+                },
             })
         };
         let pools = &self.0.pools;
@@ -108,7 +113,7 @@ impl Catalog for Service {
             Ok(v1::GetSurveyReply {
                 version: s.number(),
                 survey: Some(model::survey(e, &db::survey_row(s, e)?)?),
-                frame: Some(model::frame(e)),
+                frame: Some(model::survey_frame(s, e.number)?),
             })
         })
         .await
@@ -281,7 +286,7 @@ fn surveys(s: &Snapshot, mut page: Page, area: &Area, frames_only: bool) -> Resu
     });
     let mut last = 0;
     for e in s.entries_in((after, Bound::Unbounded)).filter(|e| wanted(e)) {
-        let frame = model::frame(e);
+        let frame = model::survey_frame(s, e.number)?;
         let survey = match frames_only {
             true => None,
             false => Some(model::survey(e, &db::survey_row(s, e)?)?),
