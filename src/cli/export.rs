@@ -107,7 +107,7 @@ impl Export {
         let seams = if looked_at { Seams::All } else { Seams::Off };
         let query = self.tolerance.inner.query(&place, &s, seams)?;
         if s.select(&query)?.records.is_empty() {
-            let reason = format!("holds no data; {}", whereabouts(&s, place.coords.as_ref()));
+            let reason = format!("holds no data; {}", whereabouts(s.crs(), s.bounds(), place.coords.as_ref()));
             return Err(Error::invalid("region", reason));
         }
         self.write(&s, &place, &query, &ending)
