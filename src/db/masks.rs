@@ -5,6 +5,7 @@
 //! keep their keys however a region moves, and their contents until a commit changes core'.
 
 use super::Snapshot;
+use super::query::Selection;
 use super::view::{Rules, Tables};
 use crate::base::Result;
 use crate::codec::cells;
@@ -18,7 +19,7 @@ use quick_cache::sync::Cache;
 const SQUARES_CACHED: usize = 65536;
 
 /// A block of core' of a survey.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct MaskPart {
     pub survey: SurveyNumber,
     /// The square of a place, on this level.
@@ -55,6 +56,16 @@ impl Masks {
 }
 
 impl Snapshot {
+    /// The surveys whose frames a selection needs: those of its patches, and those near its region, whose cells decide which
+    /// floors are shown. Ascending.
+    pub fn surveys_of(&self, selection: &Selection) -> Vec<SurveyNumber> {
+        let mut all = self.near(selection.region.bounds());
+        all.extend(selection.records.iter().map(|r| r.survey));
+        let mut all: Vec<SurveyNumber> = all.into_iter().collect();
+        all.sort_unstable();
+        all
+    }
+
     /// The blocks of core' of every survey near a region, whether a patch of it is needed or not: those that hold a cell and
     /// meet the region or lie within a cell of it. Ascending by key. Looks up some squares for each survey: microseconds
     /// once they are known.

@@ -2,9 +2,11 @@
 
 mod catalog;
 mod report;
+mod query;
 
 use super::State;
 use crate::wire;
+use crate::wire::v1::query_server::QueryServer;
 use axum::Router;
 use std::sync::Arc;
 use tonic::service::Routes;
@@ -15,6 +17,8 @@ pub fn routes(state: &Arc<State>) -> Router {
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .build_v1()
         .expect("the descriptors were made by the build");
-    let routes = Routes::new(v1).add_service(catalog::service(state));
+    let routes = Routes::new(v1)
+        .add_service(catalog::service(state))
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())));
     routes.into_axum_router()
 }

@@ -1,11 +1,13 @@
 //! Messages become our types here, once; behind it our types are trusted.
 
 mod catalog;
+mod looser;
 mod page;
 mod parts;
 mod question;
 
 pub use catalog::{commit_reply, json, survey, tile};
+pub use looser::looser;
 pub use page::Page;
-pub use parts::{ground, mask, patch, survey_frame};
-pub use question::{area, how, pairs, query, tolerance};
+pub use parts::{frames, ground, mask, patch, set_hash};
+pub use question::{area, how, manner, pairs, query, tolerance};
