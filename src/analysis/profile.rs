@@ -94,7 +94,7 @@ impl Stations {
     }
 
     /// How many points there are, those that have come included.
-    pub fn count(&self) -> u64 {
+    pub fn total(&self) -> u64 {
         self.count
     }
 }

@@ -1,6 +1,7 @@
 //! Messages become our types here, once; behind it our types are trusted.
 
 mod catalog;
+pub mod heights;
 mod looser;
 mod page;
 mod parts;
@@ -9,5 +10,5 @@ mod question;
 pub use catalog::{commit_reply, json, survey, tile};
 pub use looser::looser;
 pub use page::Page;
-pub use parts::{frames, ground, mask, patch, set_hash};
+pub use parts::{frames, ground, mask, patch, set_hash, survey_frame};
 pub use question::{area, how, manner, pairs, query, tolerance};
