@@ -44,12 +44,8 @@ pub trait Ground {
         how: How,
     ) -> Result<Vec<Option<Evaluation>>>;
     /// The same, with gradients.
-    fn slopes(
-        &self,
-        points: &[[f64; 2]],
-        tolerance: &Tolerance,
-        how: How,
-    ) -> Result<Vec<Option<Evaluation>>>;
+    fn slopes(&self, points: &[[f64; 2]], tolerance: &Tolerance, how: How)
+    -> Result<Vec<Option<Evaluation>>>;
 }
 
 impl Ground for Snapshot {

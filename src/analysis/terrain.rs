@@ -2,8 +2,8 @@
 
 use super::ground::{Ground, Posts};
 use crate::base::{Error, Result};
-use crate::db::query::{Query, Tolerance};
 use crate::db::metres_per_unit;
+use crate::db::query::{Query, Tolerance};
 use crate::height::crs::AxisUnit;
 use crate::height::surface::{Evaluation, How};
 

@@ -3,8 +3,8 @@
 use super::output::message;
 use crate::base::polygon::{Polygon, Ring};
 use crate::base::{Error, Result, limits};
-use crate::db::query::Area;
 use crate::db::metres_per_unit;
+use crate::db::query::Area;
 use crate::format::geojson::read_polygons;
 use crate::height::crs::{AxisUnit, Crs, DatumChoice, Transform};
 use std::path::Path;
@@ -152,8 +152,7 @@ impl Place {
         let given = Polygon::new(&name, found.parts)?;
         let b = given.bounds();
         let degrees = b[0] >= -360.0 && b[2] <= 360.0 && b[1] >= -90.0 && b[3] <= 90.0;
-        let on_data =
-            surveys.is_some_and(|d| d[0] <= b[2] && b[0] <= d[2] && d[1] <= b[3] && b[1] <= d[3]);
+        let on_data = surveys.is_some_and(|d| d[0] <= b[2] && b[0] <= d[2] && d[1] <= b[3] && b[1] <= d[3]);
         let own = match &found.crs {
             Some(text) => Coords::new(text, database)?,
             None if coords.is_some() => None,
@@ -169,11 +168,7 @@ impl Place {
                 let reason = format!(
                     "its coordinates ({}, {} .. {}, {}) are no degrees, as those of the database ({}) are; say what they \
                      are with --coords EPSG:n",
-                    b[0],
-                    b[1],
-                    b[2],
-                    b[3],
-                    database.code
+                    b[0], b[1], b[2], b[3], database.code
                 );
                 return Err(Error::invalid(name, reason));
             }

@@ -89,12 +89,7 @@ pub fn survey_row(s: &Snapshot, e: &SurveyEntry) -> Result<SurveyRow> {
         accuracy_m: d.accuracy_m,
         date: e.date.map(|d| d.to_string()),
         precedence: e.geometry.precedence,
-        bounds: [
-            b.min.x as f64 * size,
-            b.min.y as f64 * size,
-            b.max.x as f64 * size,
-            b.max.y as f64 * size,
-        ],
+        bounds: [b.min.x as f64 * size, b.min.y as f64 * size, b.max.x as f64 * size, b.max.y as f64 * size],
         version: e.since,
         patches: e.live + e.dormant,
         live: e.live,

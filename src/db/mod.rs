@@ -59,8 +59,8 @@ pub use export::{OwnPosts, RawTile, own_posts, read_tile};
 pub use fingerprint::fingerprint;
 pub use head::{Declaration, Delivered, Head, Resampled, Tile};
 pub use listing::{
-    BoxRow, BoxWalk, DeliveredRow, Info, NodeRow, SurveyRow, TileRow, TreeNode, TreeWalk, boxes, info, more_boxes, survey_row,
-    surveys, tiles, tree, vertical_datum,
+    BoxRow, BoxWalk, DeliveredRow, Info, NodeRow, SurveyRow, TileRow, TreeNode, TreeWalk, boxes, info,
+    more_boxes, survey_row, surveys, tiles, tree, vertical_datum,
 };
 pub use masks::MaskPart;
 pub use provenance::{Provenance, Share};

@@ -96,10 +96,7 @@ impl Catalog for Service {
         Ok(Response::new(found))
     }
 
-    async fn list_surveys(
-        &self,
-        request: Request<v1::ListSurveysRequest>,
-    ) -> Reply<v1::ListSurveysReply> {
+    async fn list_surveys(&self, request: Request<v1::ListSurveysRequest>) -> Reply<v1::ListSurveysReply> {
         let r = request.into_inner();
         let (page, at) = Page::of(r.page_size, &r.page_token, r.at).map_err(status)?;
         let area = model::area(r.region.as_ref()).map_err(status)?;
@@ -139,10 +136,7 @@ impl Catalog for Service {
         .await
     }
 
-    async fn list_versions(
-        &self,
-        request: Request<v1::ListVersionsRequest>,
-    ) -> Reply<v1::ListVersionsReply> {
+    async fn list_versions(&self, request: Request<v1::ListVersionsRequest>) -> Reply<v1::ListVersionsReply> {
         let r = request.into_inner();
         let (mut page, version) = Page::of(r.page_size, &r.page_token, 0).map_err(status)?;
         let (live, db) = (self.0.live.clone(), self.0.live.db().clone());
@@ -185,9 +179,8 @@ impl Catalog for Service {
 
     async fn fingerprint(&self, request: Request<v1::FingerprintRequest>) -> Reply<v1::FingerprintReply> {
         let s = self.at(request.into_inner().at).await?;
-        let find = move || {
-            Ok(v1::FingerprintReply { version: s.number(), fingerprint: db::fingerprint(&s)? })
-        };
+        let find =
+            move || Ok(v1::FingerprintReply { version: s.number(), fingerprint: db::fingerprint(&s)? });
         self.0.pools.work(find).await.map(Response::new)
     }
 
@@ -277,13 +270,12 @@ fn surveys(s: &Snapshot, mut page: Page, area: &Area, frames_only: bool) -> Resu
     let wanted = |e: &db::SurveyEntry| {
         let b = e.geometry.bounds();
         let (lo, hi) = ([b.min.x, b.min.y], [b.max.x, b.max.y]);
-        area.bounds().is_none_or(|a| {
-            (0..2).all(|k| lo[k] as f64 * size <= a[k + 2] && hi[k] as f64 * size >= a[k])
-        })
+        area.bounds()
+            .is_none_or(|a| (0..2).all(|k| lo[k] as f64 * size <= a[k + 2] && hi[k] as f64 * size >= a[k]))
     };
-    let after = page.after.map_or(Bound::Unbounded, |n| {
-        Bound::Excluded(SurveyNumber(u32::try_from(n).unwrap_or(u32::MAX)))
-    });
+    let after = page
+        .after
+        .map_or(Bound::Unbounded, |n| Bound::Excluded(SurveyNumber(u32::try_from(n).unwrap_or(u32::MAX))));
     let mut last = 0;
     for e in s.entries_in((after, Bound::Unbounded)).filter(|e| wanted(e)) {
         let frame = model::survey_frame(s, e.number)?;

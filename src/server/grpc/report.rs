@@ -96,8 +96,7 @@ pub fn report(state: &Arc<State>, s: Arc<Snapshot>, r: v1::ReportRequest) -> Res
                     "ask with error_m",
                 ));
             }
-            let step = Some(r.step).filter(|s| *s != 0.0);
-            rest(move |s| Ok(vec![s.provenance(&query, step)?]))
+            rest(move |s| Ok(vec![s.provenance(&query, r.step)?]))
         }
         Kind::Contradictions => {
             let named = match r.surveys.as_slice() {
