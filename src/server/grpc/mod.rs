@@ -2,10 +2,12 @@
 
 mod arrival;
 mod files;
+mod catalog;
 mod heights;
 mod ingest;
 mod outgoing;
 mod query;
+mod report;
 mod view;
 
 use super::State;
@@ -29,6 +31,7 @@ pub fn routes(state: &Arc<State>) -> Router {
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let routes = Routes::new(v1)
+        .add_service(catalog::service(state))
         .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(QueryServer::new(query::QueryService::new(state.clone())))
