@@ -1,6 +1,7 @@
 //! Commits that the server was asked for: carried out one after the other, and where each stands.
 
 use super::State;
+use super::metrics;
 use super::pools::Answer;
 use crate::base::{Error, Result};
 use crate::db::{Change, Outcome, Progress};
@@ -90,6 +91,7 @@ pub async fn commit(
             Ok::<_, Error>(outcome)
         })
         .await;
+    metrics::commit(done.is_ok());
     state.operations.note(match &done {
         Ok(o) => OperationStatus { version: o.version, ..at(Standing::Done) },
         Err(e) => OperationStatus { error: e.message().to_string(), ..at(Standing::Failed) },

@@ -4,5 +4,10 @@
 /// Databases, servers and clients for these tests.
 mod support;
 
+/// Calls by path with raw bytes, HTTP by hand.
+mod raw;
+
+/// Tokens, rights, TLS, mutual TLS.
+mod security;
 /// A server starts, answers and stops.
 mod serving;
