@@ -7,6 +7,10 @@ mod support;
 /// Calls by path with raw bytes, HTTP by hand.
 mod raw;
 
+/// Noise, slowness, too many, too large; deadlines, shedding, stopping.
+mod guarded;
+/// Pages, numbers, log, gRPC-web, the commands `serve` and `token`.
+mod pages;
 /// Tokens, rights, TLS, mutual TLS.
 mod security;
 /// A server starts, answers and stops.

@@ -208,40 +208,40 @@ mod tests {
     use super::*;
 
     fn guard() -> Arc<Guard> {
-        Arc::new(Guard::new(Duration::from_secs(2), Duration::from_secs(10), Duration::from_secs(30)))
+        let ms = Duration::from_millis;
+        Arc::new(Guard::new(ms(200), ms(400), ms(800)))
     }
 
-    async fn after(guard: &Guard) -> (u64, String) {
+    /// Milliseconds until the guard says that the connection is to be closed. A busy machine may be late, never early.
+    async fn after(guard: &Guard) -> u64 {
         let why = guard.expired().await;
-        (guard.now() / 1000, why)
+        println!("{} ms: {why}", guard.now());
+        guard.now()
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn a_connection_that_says_nothing_is_closed_after_the_greeting() {
-        let (s, why) = after(&guard()).await;
-        assert_eq!(s, 2, "{why}");
+        assert!((200..390).contains(&after(&guard()).await));
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn one_that_greeted_is_closed_when_idle_and_a_call_keeps_it() {
         let guard = guard();
         guard.bytes_in.store(24, Relaxed);
         let call = guard.call();
-        assert!(tokio::time::timeout(Duration::from_secs(1000), guard.expired()).await.is_err());
+        assert!(tokio::time::timeout(Duration::from_millis(1000), guard.expired()).await.is_err());
         drop(call);
-        let (s, why) = after(&guard).await;
-        assert_eq!(s, 1010, "{why}");
+        assert!((1400..1900).contains(&after(&guard).await));
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn a_client_that_takes_nothing_is_closed_though_its_call_goes_on() {
         let guard = guard();
         let (quick, slow) = (guard.call(), guard.call());
         quick.offered();
         quick.taken();
-        tokio::time::advance(Duration::from_secs(5)).await;
+        tokio::time::sleep(Duration::from_millis(300)).await;
         slow.offered();
-        let (s, why) = after(&guard).await;
-        assert_eq!(s, 35, "{why}");
+        assert!((1100..1600).contains(&after(&guard).await));
     }
 }
