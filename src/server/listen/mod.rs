@@ -38,6 +38,8 @@ use tower::Service;
 const HEAD_BYTES_MAX: u32 = 32 << 10;
 /// After a failed accept: the next waits this long, or a lack of file handles becomes a busy loop.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
+/// After the time of grace: statuses of calls that were ended go out.
+const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Which server a connection's requests go to, and by which rules.
 pub struct Listen {
@@ -94,11 +96,14 @@ impl Listen {
         }
         drop(listener);
         let all = u32::try_from(bound).unwrap_or(u32::MAX);
-        if tokio::time::timeout(grace, room.acquire_many(all)).await.is_err() {
+        if tokio::time::timeout(grace + LAST_WORDS, room.acquire_many(all)).await.is_err() {
             let left = bound - room.available_permits();
-            tracing::warn!("{left} connections had not ended after {grace:?}: closed");
+            tracing::warn!(
+                "{left} connections had not ended {:?} after the signal: closed",
+                grace + LAST_WORDS
+            );
             let _ = last_call.send(true);
-            let _ = tokio::time::timeout(Duration::from_secs(5), room.acquire_many(all)).await;
+            let _ = tokio::time::timeout(LAST_WORDS, room.acquire_many(all)).await;
         }
     }
 
