@@ -1,10 +1,13 @@
-//! The `terraquilt` program: `serve` goes to the server, every other word to the command line.
+//! The `terraquilt` program: `serve` and `token` go to the server, every other word to the command line.
 
 use std::process::ExitCode;
 use terraquilt::cli::{self, Door};
 use terraquilt::server;
 
 fn main() -> ExitCode {
-    let doors = vec![Door { command: server::command::serve(), run: server::command::run_serve }];
+    let doors = vec![
+        Door { command: server::command::serve(), run: server::command::run_serve },
+        Door { command: server::tokens::command::token(), run: server::tokens::command::run_token },
+    ];
     cli::run(std::env::args_os(), doors)
 }

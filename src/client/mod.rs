@@ -10,7 +10,7 @@ pub mod catalog;
 mod connection;
 pub mod heights;
 pub mod ingest;
-pub mod view;
 pub mod patches;
+pub mod view;
 
 pub use connection::{Address, Bearer, Connection, Wire, failed};

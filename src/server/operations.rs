@@ -1,6 +1,7 @@
 //! Commits that the server was asked for: carried out one after the other, and where each stands.
 
 use super::State;
+use super::metrics;
 use super::pools::Answer;
 use crate::base::Result;
 use crate::db::{Change, Outcome, Progress};
@@ -94,6 +95,7 @@ pub async fn commit(
         let _place = place;
         let (shared, operation) = (state.clone(), id.clone());
         let done = state.pools.arrival(move || carry_out(&shared, &operation, dry_run, change)).await;
+        metrics::commit(done.is_ok());
         state.operations.note(match &done {
             Ok(o) => {
                 let stage = if dry_run { DRY_RUN } else { "" };

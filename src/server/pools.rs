@@ -10,6 +10,8 @@ use super::status::status;
 use crate::base::{Error, Result};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio::sync::oneshot;
 use tonic::Status;
 
@@ -18,9 +20,16 @@ pub type Answer<T> = std::result::Result<T, Status>;
 
 /// Threads that compute.
 pub struct Pools {
-    answers: ThreadPool,
-    work: ThreadPool,
-    arrivals: ThreadPool,
+    answers: Pool,
+    work: Pool,
+    arrivals: Pool,
+}
+
+/// Threads of one priority, and how many tasks wait for one of them.
+struct Pool {
+    name: &'static str,
+    threads: ThreadPool,
+    waiting: Arc<AtomicUsize>,
 }
 
 impl Pools {
@@ -31,6 +40,11 @@ impl Pools {
             work: pool("work", cores, 5)?,
             arrivals: pool("arrival", cores.saturating_sub(1).max(1), 15)?,
         })
+    }
+
+    /// How many tasks wait for a thread, by pool.
+    pub fn waiting(&self) -> [(&'static str, usize); 3] {
+        [&self.answers, &self.work, &self.arrivals].map(|p| (p.name, p.waiting.load(Ordering::Relaxed)))
     }
 
     /// Computes something that somebody waits for.
@@ -55,8 +69,8 @@ impl Pools {
     }
 }
 
-fn pool(name: &'static str, threads: usize, nice: i32) -> Result<ThreadPool> {
-    ThreadPoolBuilder::new()
+fn pool(name: &'static str, threads: usize, nice: i32) -> Result<Pool> {
+    let threads = ThreadPoolBuilder::new()
         .num_threads(threads)
         .thread_name(move |k| format!("{name}-{k}"))
         .start_handler(move |_| {
@@ -66,15 +80,16 @@ fn pool(name: &'static str, threads: usize, nice: i32) -> Result<ThreadPool> {
             }
         })
         .build()
-        .map_err(|e| Error::invalid("threads", e))
+        .map_err(|e| Error::invalid("threads", e))?;
+    Ok(Pool { name, threads, waiting: Arc::default() })
 }
 
-async fn run<T: Send + 'static>(
-    pool: &ThreadPool,
-    f: impl FnOnce() -> Result<T> + Send + 'static,
-) -> Answer<T> {
+async fn run<T: Send + 'static>(pool: &Pool, f: impl FnOnce() -> Result<T> + Send + 'static) -> Answer<T> {
     let (done, answer) = oneshot::channel();
-    pool.spawn_fifo(move || {
+    let waiting = pool.waiting.clone();
+    waiting.fetch_add(1, Ordering::Relaxed);
+    pool.threads.spawn_fifo(move || {
+        waiting.fetch_sub(1, Ordering::Relaxed);
         // Who asked may be gone: then nobody wants it any more.
         if done.is_closed() {
             return;

@@ -11,12 +11,21 @@ mod requests;
 
 /// Surveys arrive.
 mod arrivals;
-/// The server is killed while surveys arrive.
-mod killed;
 /// A database of Mount St. Helens.
 mod hills;
+/// The server is killed while surveys arrive.
+mod killed;
 
 /// Points, lines and rasters from a server are those of the database, bit for bit.
 mod heights;
+/// Calls by path with raw bytes, HTTP by hand.
+mod raw;
+
+/// Noise, slowness, too many, too large; deadlines, shedding, stopping.
+mod guarded;
+/// Pages, numbers, log, gRPC-web, the commands `serve` and `token`.
+mod pages;
+/// Tokens, rights, TLS, mutual TLS.
+mod security;
 /// A server starts, answers and stops.
 mod serving;

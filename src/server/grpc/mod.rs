@@ -1,8 +1,8 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
 mod arrival;
-mod files;
 mod catalog;
+mod files;
 mod heights;
 mod ingest;
 mod outgoing;
@@ -11,30 +11,57 @@ mod report;
 mod view;
 
 use super::State;
-use crate::wire;
-use crate::wire::MESSAGE_BYTES_MAX;
+use crate::base::{Error, Result};
+use crate::server::tokens::rights;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::view_server::ViewServer;
+use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
+use std::collections::BTreeSet;
 use std::sync::Arc;
+use tokio::sync::watch;
 use tonic::service::Routes;
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
 
-/// Every service, and reflection.
-pub fn routes(state: &Arc<State>) -> Router {
-    let v1 = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
-        .build_v1()
-        .expect("the descriptors were made by the build");
-    let view = ViewServer::new(view::ViewService::new(state.clone()));
+/// Every service, health and reflection. What all calls pass is laid around them by [`start`](crate::server::start).
+pub fn routes(state: &Arc<State>, stopped: watch::Receiver<bool>) -> Result<Router> {
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    let bad = |e: tonic_reflection::server::Error| Error::invalid("reflection", e);
+    let (reporter, health) = tonic_health::server::health_reporter();
+    tokio::spawn(report(reporter, stopped));
     let heights = HeightsServer::new(heights::HeightsService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
-    let routes = Routes::new(v1)
+    let query = QueryServer::new(query::QueryService::new(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX);
+    let view =
+        ViewServer::new(view::ViewService::new(state.clone())).max_decoding_message_size(MESSAGE_BYTES_MAX);
+    let routes = Routes::new(reflection().build_v1().map_err(bad)?)
+        .add_service(reflection().build_v1alpha().map_err(bad)?)
+        .add_service(health)
         .add_service(catalog::service(state))
         .add_service(heights)
         .add_service(ingest::service(state))
-        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
-        .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
-    routes.into_axum_router()
+        .add_service(query)
+        .add_service(view);
+    Ok(routes.prepare().into_axum_router())
+}
+
+/// Tells that each service serves, until the server is told to stop.
+async fn report(reporter: HealthReporter, mut stopped: watch::Receiver<bool>) {
+    let services: BTreeSet<&str> =
+        rights::METHODS.iter().filter_map(|m| m.path[1..].split('/').next()).chain([""]).collect();
+    for s in &services {
+        reporter.set_service_status(*s, ServingStatus::Serving).await;
+    }
+    let _ = stopped.wait_for(|s| *s).await;
+    for s in &services {
+        reporter.set_service_status(*s, ServingStatus::NotServing).await;
+    }
 }

@@ -179,8 +179,7 @@ async fn steps(
         permit.send(Ok(message));
         while !parcel.done() {
             let permit = room(tx, ends).await?;
-            let (message, back) =
-                state.pools.answer(move || parcel.next().map(|m| (m, parcel))).await?;
+            let (message, back) = state.pools.answer(move || parcel.next().map(|m| (m, parcel))).await?;
             parcel = back;
             permit.send(Ok(message));
         }

@@ -73,7 +73,9 @@ impl Caller {
             .build()
             .expect("threads can be started");
         let state = Arc::new(State::open(Settings::new(db.path())).expect("the database is sound"));
-        let router = runtime.block_on(async { routes(&state) });
+        let router = runtime
+            .block_on(async { routes(&state, state.stop.subscribe()) })
+            .expect("the descriptors were made by the build");
         Caller { runtime, router, names, bounds, _folder: folder }
     }
 
