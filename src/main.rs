@@ -1,10 +1,13 @@
-//! The `terraquilt` program: `serve` goes to the server, every other word to the command line.
+//! The `terraquilt` program: `serve` goes to the server, `demo` to the demo, every other word to the command line.
 
 use std::process::ExitCode;
 use terraquilt::cli::{self, Door};
-use terraquilt::server;
+use terraquilt::{demo, server};
 
 fn main() -> ExitCode {
-    let doors = vec![Door { command: server::command::serve(), run: server::command::run_serve }];
+    let doors = vec![
+        Door { command: demo::command(), run: demo::run },
+        Door { command: server::command::serve(), run: server::command::run_serve },
+    ];
     cli::run(std::env::args_os(), doors)
 }

@@ -6,13 +6,12 @@
 mod args;
 mod ask;
 mod care;
-mod demo;
 mod export;
 mod ingest;
 mod measure;
 mod mesh;
 mod origin;
-mod output;
+pub mod output;
 mod place;
 mod points;
 mod shading;
@@ -37,7 +36,6 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Demo(demo::Demo),
     Init(ingest::Init),
     Ingest(ingest::IngestFiles),
     Replace(ingest::Replace),
@@ -106,7 +104,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
         }
     };
     let done = match cli.command {
-        Command::Demo(c) => c.run(),
         Command::Init(c) => c.run(),
         Command::Ingest(c) => c.run(),
         Command::Replace(c) => c.run(),
