@@ -15,6 +15,7 @@
 //! - [`format`]: other people's formats
 //! - [`cli`]: the command line
 //! - [`server`], [`client`]: the daemon and those who ask it, over [`wire`]
+//! - [`demo`]: the whole story, told over gRPC
 
 pub mod analysis;
 pub mod base;
@@ -22,6 +23,7 @@ pub mod cli;
 pub mod client;
 pub mod codec;
 pub mod db;
+pub mod demo;
 pub mod format;
 pub mod height;
 pub mod mesh;

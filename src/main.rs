@@ -1,11 +1,12 @@
-//! The `terraquilt` program: `serve` and `token` go to the server, every other word to the command line.
+//! The `terraquilt` program: `serve` and `token` go to the server, `demo` to the demo, every other word to the command line.
 
 use std::process::ExitCode;
 use terraquilt::cli::{self, Door};
-use terraquilt::server;
+use terraquilt::{demo, server};
 
 fn main() -> ExitCode {
     let doors = vec![
+        Door { command: demo::command(), run: demo::run },
         Door { command: server::command::serve(), run: server::command::run_serve },
         Door { command: server::tokens::command::token(), run: server::tokens::command::run_token },
     ];

@@ -6,14 +6,13 @@
 mod args;
 mod ask;
 mod care;
-mod demo;
 mod export;
 mod ingest;
 mod line;
 mod measure;
 mod mesh;
 mod origin;
-mod output;
+pub mod output;
 mod place;
 mod points;
 mod question;
@@ -41,7 +40,6 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Demo(demo::Demo),
     Init(ingest::Init),
     Ingest(ingest::IngestFiles),
     Replace(ingest::Replace),
@@ -131,7 +129,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
         }
     };
     let done = match cli.command {
-        Command::Demo(c) => c.run(),
         Command::Init(c) => c.run(),
         Command::Ingest(c) => c.run(),
         Command::Replace(c) => c.run(),
