@@ -107,13 +107,13 @@ async fn surveys_uploaded_are_the_surveys_ingested() {
     let server = serve_with(&db, |_| {}).await;
     let c = connect(&server).await;
     let alone = empty(&folder.path().join("alone"));
-    for k in 0..HELENS.len() {
+    for (k, (_, name, ..)) in HELENS.iter().enumerate() {
         let (survey, mut stages) = (bundled(k), Vec::new());
         let sending = Sending { packed: k % 2 == 0, ..Sending::default() };
         let told = &mut |r: &v1::UploadReply| stages.push(r.state());
         let commit = upload(&c, survey.header.clone(), survey.rows(), &sending, told).await.unwrap();
         assert!(commit.changed, "{commit:?}");
-        assert_eq!((commit.version, commit.survey.as_str()), (k as u64 + 1, HELENS[k].1));
+        assert_eq!((commit.version, commit.survey.as_str()), (k as u64 + 1, *name));
         assert_eq!(stages.first(), Some(&State::Uploading));
         assert_eq!(stages.last(), Some(&State::Done));
         // The newest version is there for whoever asks next.
@@ -241,7 +241,12 @@ async fn an_upload_that_stopped_goes_on_where_it_was() {
     assert!(e.message().contains("560001") && e.message().contains("grids[0]"), "{e}");
 
     // The server goes and comes; the client sends what is missing and no more.
-    server.stop().await.unwrap();
+    let (mut open, _) = Call::begin(&c, &survey.header).await.unwrap();
+    let stopping = std::time::Instant::now();
+    let (stopped, told) = tokio::join!(server.stop(), open.refused());
+    stopped.unwrap();
+    assert!(told.code() == Code::Unavailable && told.message().contains("stopping"), "{told}");
+    assert!(stopping.elapsed() < Duration::from_secs(20), "an open stream holds the server");
     let server = serve_with(&db, |_| {}).await;
     let c = connect(&server).await;
     let (call, first) = Call::begin(&c, &survey.header).await.unwrap();
@@ -336,12 +341,10 @@ async fn bad_blocks_are_refused_and_the_rest_is_kept() {
         (sealed(v1::SampleBlock { packing: 1, samples: zlib(24_000_000).into(), ..good() }), "or more bytes"),
         (sealed(v1::SampleBlock { packing: 1, samples: zlib(23_999).into(), ..good() }), "23999 bytes"),
     ];
-    let mut received = 0;
-    for (block, told) in cases {
+    for (received, (block, told)) in (0..).zip(cases) {
         let (mut call, first) = Call::begin(&c, &survey.header).await.unwrap();
         assert_eq!(first.received.iter().map(|s| s.rows).sum::<u64>(), received);
         call.block(survey.block(0, 20 + received, 1)).await;
-        received += 1;
         call.block(block).await;
         let e = call.refused().await;
         assert!(e.message().contains(told), "{told}: {e}");
@@ -488,6 +491,18 @@ async fn silent_streams_end_and_uploads_are_limited_and_expire() {
     let e = call.refused().await;
     assert!(e.code() == Code::DeadlineExceeded && e.message().contains("what arrived is kept"), "{e}");
     assert_eq!(listed(&c).await[0].rows_received, 10);
+    // One that sends the same again and again, and never anything new.
+    let (mut call, _) = Call::begin(&c, &survey(1).header).await.unwrap();
+    let (sender, block) = (call.send.clone(), survey(1).block(0, 0, 10));
+    let again = tokio::spawn(async move {
+        let kind = Some(Kind::Block(block));
+        while sender.send(v1::UploadRequest { kind: kind.clone() }).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    let e = call.refused().await;
+    assert!(e.code() == Code::DeadlineExceeded && e.message().contains("nothing new"), "{e}");
+    again.await.unwrap();
     // A stream that says nothing at all.
     let mut call = Call::open(&c).await;
     assert_eq!(call.refused().await.code(), Code::DeadlineExceeded);

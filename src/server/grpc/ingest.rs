@@ -121,14 +121,23 @@ fn name(h: &v1::UploadHeader) -> String {
 
 /// The next message of an upload; `None`: the stream ended.
 async fn next(
+    state: &State,
     requests: &mut Streaming<v1::UploadRequest>,
     within: Duration,
-    idle: Duration,
 ) -> Answer<Option<Kind>> {
-    match timeout(within, requests.message()).await {
+    let message = tokio::select! {
+        biased;
+        () = state.uploads.stopping() => {
+            return Err(Status::unavailable(
+                "the server is stopping; what arrived is kept: call again with the same header",
+            ));
+        }
+        message = timeout(within, requests.message()) => message,
+    };
+    match message {
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "nothing was sent for {} s; what arrived is kept: call again with the same header",
-            idle.as_secs()
+            "nothing new was sent for {} s; what arrived is kept: call again with the same header",
+            state.settings.upload_idle.as_secs_f64()
         ))),
         Ok(Err(e)) => Err(e),
         Ok(Ok(None)) => Ok(None),
@@ -156,8 +165,7 @@ async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<(Arc<Said
 
 /// One upload, from its header to its commit.
 async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>, told: &Told) -> Answer<()> {
-    let idle = state.settings.upload_idle;
-    let header = match next(requests, idle, idle).await? {
+    let header = match next(state, requests, state.settings.upload_idle).await? {
         Some(Kind::Header(header)) => header,
         Some(_) => return Err(Status::invalid_argument("the first message of an upload is its header")),
         None => return Err(Status::invalid_argument("the stream ended before a header came")),
@@ -266,21 +274,28 @@ async fn blocks(
 ) -> Answer<v1::UploadFinish> {
     let idle = state.settings.upload_idle;
     let (mut heard, mut synced, mut touched) = (Instant::now(), Instant::now(), Instant::now());
-    let mut fresh_bytes = 0;
+    let (mut fresh_bytes, mut there) = (0, 0);
     loop {
         // While the next block is waited for, what is there becomes durable.
         let until_sync = if fresh_bytes > 0 { SYNC_AFTER.saturating_sub(synced.elapsed()) } else { idle };
         let left = idle.saturating_sub(heard.elapsed());
-        match next(requests, until_sync.min(left), idle).await {
+        match next(state, requests, until_sync.min(left)).await {
             Err(e) if e.code() == Code::DeadlineExceeded && heard.elapsed() < idle => {}
             Err(e) => return Err(e),
             Ok(Some(Kind::Finish(finish))) => return Ok(finish),
             Ok(Some(Kind::Block(block))) => {
-                heard = Instant::now();
                 let s = said.clone();
                 let block = state.pools.work(move || staging::unpack(&block, &s.grids)).await?;
-                let written = on_disk(staging, move |s| s.write(&block).map(|()| s.fresh_bytes()));
-                fresh_bytes = written.await?;
+                let written = on_disk(staging, move |s| {
+                    s.write(&block)?;
+                    Ok((s.fresh_bytes(), s.rows().there()))
+                });
+                let now;
+                (fresh_bytes, now) = written.await?;
+                // Rows that are there already do not keep a stream alive.
+                if now > there {
+                    (heard, there) = (Instant::now(), now);
+                }
             }
             Ok(Some(Kind::Header(_))) => {
                 return Err(Status::invalid_argument("an upload has one header; a second one came"));
@@ -292,8 +307,7 @@ async fn blocks(
             }
         }
         if fresh_bytes >= SYNC_BYTES || (fresh_bytes > 0 && synced.elapsed() >= SYNC_AFTER) {
-            let durable = on_disk(staging, |s| s.sync().map(|spans| (spans, s.rows().there())));
-            let (received, there) = durable.await?;
+            let received = on_disk(staging, Staging::sync).await?;
             (synced, fresh_bytes) = (Instant::now(), 0);
             let share = there as f64 / said.rows as f64;
             told.tell(v1::UploadReply { received, share, ..reply(&said.operation, Standing::Uploading) })

@@ -23,7 +23,7 @@ use staging::Staging;
 use std::collections::{HashMap, HashSet};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::watch;
 
@@ -53,6 +53,7 @@ pub struct Uploads {
     most_bytes: u64,
     work: Mutex<HashMap<String, Work>>,
     catalog: Mutex<Option<db::Uploads>>,
+    stopped: OnceLock<watch::Receiver<bool>>,
 }
 
 /// The right to work on one operation; given back when dropped.
@@ -113,6 +114,7 @@ impl Uploads {
             most_bytes: settings.uploads_bytes_max,
             work: Mutex::default(),
             catalog: Mutex::default(),
+            stopped: OnceLock::new(),
         }
     }
 
@@ -326,9 +328,20 @@ impl Uploads {
         Ok(removed)
     }
 
+    /// Waits until the server stops: no more samples are taken then.
+    pub async fn stopping(&self) {
+        match self.stopped.get().cloned() {
+            Some(mut stopped) => {
+                let _ = stopped.wait_for(|s| *s).await;
+            }
+            None => std::future::pending().await,
+        }
+    }
+
     /// Sweeps now, and now and then until told to stop.
     pub fn sweep_on(self: &Arc<Self>, mut stopped: watch::Receiver<bool>) {
         let uploads = self.clone();
+        let _ = self.stopped.set(stopped.clone());
         tokio::spawn(async move {
             let every = (uploads.kept / 4).clamp(Duration::from_secs(1), LOOK_EVERY);
             while !*stopped.borrow() {
