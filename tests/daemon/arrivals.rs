@@ -107,13 +107,13 @@ async fn surveys_uploaded_are_the_surveys_ingested() {
     let server = serve_with(&db, |_| {}).await;
     let c = connect(&server).await;
     let alone = empty(&folder.path().join("alone"));
-    for k in 0..HELENS.len() {
+    for (k, (_, name, ..)) in HELENS.iter().enumerate() {
         let (survey, mut stages) = (bundled(k), Vec::new());
         let sending = Sending { packed: k % 2 == 0, ..Sending::default() };
         let told = &mut |r: &v1::UploadReply| stages.push(r.state());
         let commit = upload(&c, survey.header.clone(), survey.rows(), &sending, told).await.unwrap();
         assert!(commit.changed, "{commit:?}");
-        assert_eq!((commit.version, commit.survey.as_str()), (k as u64 + 1, HELENS[k].1));
+        assert_eq!((commit.version, commit.survey.as_str()), (k as u64 + 1, *name));
         assert_eq!(stages.first(), Some(&State::Uploading));
         assert_eq!(stages.last(), Some(&State::Done));
         // The newest version is there for whoever asks next.
@@ -126,12 +126,36 @@ async fn surveys_uploaded_are_the_surveys_ingested() {
     // The same call again: answered with its commit, nothing is sent.
     let (_, again) = Call::begin(&c, &bundled(1).header).await.unwrap();
     assert_eq!((again.state(), again.commit.unwrap().version), (State::Done, 2));
-    // The same samples under another operation: no version.
-    let commit = send(&c, &bundled(1).called("another")).await.unwrap();
+    // The same samples under another operation: no version. With their hash nothing is sent either.
+    let (_, again) = Call::begin(&c, &bundled(1).called("another").header).await.unwrap();
+    let by_hash = again.commit.unwrap();
+    let mut unhashed = bundled(1).called("a third");
+    unhashed.header.grids[0].hash = Default::default();
+    let commit = send(&c, &unhashed).await.unwrap();
     assert!(!commit.changed && commit.version == 5, "{commit:?}");
     assert!(commit.warnings.iter().any(|w| w.contains("holds these samples already")), "{commit:?}");
-    let (_, again) = Call::begin(&c, &bundled(1).called("another").header).await.unwrap();
+    assert_eq!((by_hash.changed, by_hash.version), (false, 5));
+    assert_eq!((by_hash.posts, by_hash.voids, by_hash.live), (commit.posts, commit.voids, commit.live));
+    assert!(by_hash.warnings.iter().all(|w| commit.warnings.contains(w)), "{by_hash:?}");
+    let (_, again) = Call::begin(&c, &unhashed.header).await.unwrap();
     assert_eq!(again.commit.unwrap().version, 5);
+    // One sample or one field further it is another delivery.
+    let mut other = bundled(1).called("other");
+    other.grids[0][2000] ^= 1;
+    let mut rows = other.rows();
+    terraquilt::client::ingest::hash(&mut other.header, &mut rows).unwrap();
+    let (_, first) = Call::begin(&c, &other.header).await.unwrap();
+    assert_eq!(first.state(), State::Uploading);
+    for spoil in [|g: &mut v1::Grid| g.nodata = None, |g: &mut v1::Grid| g.x += g.col_dx] {
+        let mut header = bundled(1).called("moved").header;
+        spoil(&mut header.grids[0]);
+        let (_, first) = Call::begin(&c, &header).await.unwrap();
+        assert_eq!(first.state(), State::Uploading);
+        let abandon = v1::AbandonRequest { operation: header.operation };
+        while c.ingest().abandon(abandon.clone()).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    }
     assert_eq!(db.versions().unwrap().len(), 5);
     server.stop().await.unwrap();
 }
@@ -217,7 +241,12 @@ async fn an_upload_that_stopped_goes_on_where_it_was() {
     assert!(e.message().contains("560001") && e.message().contains("grids[0]"), "{e}");
 
     // The server goes and comes; the client sends what is missing and no more.
-    server.stop().await.unwrap();
+    let (mut open, _) = Call::begin(&c, &survey.header).await.unwrap();
+    let stopping = std::time::Instant::now();
+    let (stopped, told) = tokio::join!(server.stop(), open.refused());
+    stopped.unwrap();
+    assert!(told.code() == Code::Unavailable && told.message().contains("stopping"), "{told}");
+    assert!(stopping.elapsed() < Duration::from_secs(20), "an open stream holds the server");
     let server = serve_with(&db, |_| {}).await;
     let c = connect(&server).await;
     let (call, first) = Call::begin(&c, &survey.header).await.unwrap();
@@ -312,12 +341,10 @@ async fn bad_blocks_are_refused_and_the_rest_is_kept() {
         (sealed(v1::SampleBlock { packing: 1, samples: zlib(24_000_000).into(), ..good() }), "or more bytes"),
         (sealed(v1::SampleBlock { packing: 1, samples: zlib(23_999).into(), ..good() }), "23999 bytes"),
     ];
-    let mut received = 0;
-    for (block, told) in cases {
+    for (received, (block, told)) in (0..).zip(cases) {
         let (mut call, first) = Call::begin(&c, &survey.header).await.unwrap();
         assert_eq!(first.received.iter().map(|s| s.rows).sum::<u64>(), received);
         call.block(survey.block(0, 20 + received, 1)).await;
-        received += 1;
         call.block(block).await;
         let e = call.refused().await;
         assert!(e.message().contains(told), "{told}: {e}");
@@ -464,6 +491,18 @@ async fn silent_streams_end_and_uploads_are_limited_and_expire() {
     let e = call.refused().await;
     assert!(e.code() == Code::DeadlineExceeded && e.message().contains("what arrived is kept"), "{e}");
     assert_eq!(listed(&c).await[0].rows_received, 10);
+    // One that sends the same again and again, and never anything new.
+    let (mut call, _) = Call::begin(&c, &survey(1).header).await.unwrap();
+    let (sender, block) = (call.send.clone(), survey(1).block(0, 0, 10));
+    let again = tokio::spawn(async move {
+        let kind = Some(Kind::Block(block));
+        while sender.send(v1::UploadRequest { kind: kind.clone() }).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    let e = call.refused().await;
+    assert!(e.code() == Code::DeadlineExceeded && e.message().contains("nothing new"), "{e}");
+    again.await.unwrap();
     // A stream that says nothing at all.
     let mut call = Call::open(&c).await;
     assert_eq!(call.refused().await.code(), Code::DeadlineExceeded);
@@ -507,7 +546,7 @@ async fn others_leave_uploads_alone() {
         let progress = Progress { report: &|_, _| (), stop: &stop };
         offline(&other, 1);
         offline(&other, 2);
-        assert_eq!(other.prune(|all| all.to_vec(), &mut || {}).unwrap().pruned, [1]);
+        other.prune(|all| all.to_vec(), &mut || {}).unwrap();
         other.compact(0.0, &progress, &mut || {}).unwrap();
         assert!(verify(&other, &other.snapshot(None).unwrap(), &progress).unwrap().ok);
         for to in ["backup", "copy"].map(|n| folder.path().join(n)) {

@@ -69,7 +69,7 @@ impl Rows for Slow {
         self.rows.read(grid, row, rows, out)
     }
     fn batch(&self, _: usize) -> u64 {
-        12
+        1
     }
 }
 
@@ -101,36 +101,19 @@ fn trial(kills: u64, seed: u64) {
     let at = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let doing = Arc::new(AtomicU64::new(0));
     let over = Arc::new(AtomicBool::new(false));
-    let killer = std::thread::spawn({
-        let (doing, over, path) = (doing.clone(), over.clone(), path.clone());
-        let mut random = Random(seed | 1);
-        move || {
-            let mut met: BTreeMap<&str, u64> = BTreeMap::new();
-            let mut server = serve(&path, at);
-            for _ in 0..kills {
-                std::thread::sleep(Duration::from_secs_f64(random.unit() * 0.9));
-                *met.entry(DOING[doing.load(Relaxed) as usize]).or_default() += 1;
-                server.kill().unwrap();
-                server.wait().unwrap();
-                server = serve(&path, at);
-            }
-            over.store(true, Relaxed);
-            (server, met)
-        }
-    });
-
+    let mut server = serve(&path, at);
     // Surveys come one after the other: the bundled ones, four of hills, then those again and again as corrected deliveries.
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let mut hills_now: BTreeMap<String, Survey> = BTreeMap::new();
     let mut acknowledged: Vec<(String, u64)> = Vec::new();
     let (sent, mut all, mut resumed, mut streams) = (Arc::new(AtomicU64::new(0)), 0, 0, 0);
-    let mut next = 0;
+    let mut next = 1;
     let mut arrive = |n: u64| {
         let survey = match n {
             0..5 => bundled(n as usize),
             _ => {
                 let name = format!("hills-{}", n % 4);
-                let mut s = hills(&name, 240, (n % 4) as f64 * 1500.0, n);
+                let mut s = hills(&name, 120, (n % 4) as f64 * 800.0, n);
                 let first = hills_now.insert(name.clone(), s.clone()).is_none();
                 if !first {
                     s.header.target = Some(v1::upload_header::Target::Replace(name));
@@ -143,7 +126,12 @@ fn trial(kills: u64, seed: u64) {
         let survey = survey.called(&format!("delivery {n}"));
         all += survey.count();
         let rows = Slow { rows: survey.rows(), random: Random(seed + 2 * n + 1), sent: sent.clone() };
-        let sending = Sending { packed: n % 2 == 0, tries: 500, wait: Duration::from_millis(10) };
+        let sending = Sending {
+            packed: n % 2 == 0,
+            tries: 5000,
+            wait: Duration::from_millis(10),
+            wait_max: Duration::from_millis(20),
+        };
         let known = Mutex::new(0);
         doing.store(0, Relaxed);
         let commit = runtime.block_on(async {
@@ -174,11 +162,33 @@ fn trial(kills: u64, seed: u64) {
         let commit = commit.unwrap_or_else(|e| panic!("seed {seed}, delivery {n}: {e}"));
         acknowledged.push((commit.operation, commit.version));
     };
+    // One undisturbed: how long it takes. Then kills come within that time, so that about half of the deliveries get through.
+    let first = Instant::now();
+    arrive(0);
+    let undisturbed = first.elapsed().as_secs_f64();
+    let killer = std::thread::spawn({
+        let (doing, over, path) = (doing.clone(), over.clone(), path.clone());
+        let mut random = Random(seed | 1);
+        move || {
+            let mut met: BTreeMap<&str, u64> = BTreeMap::new();
+            for _ in 0..kills {
+                std::thread::sleep(Duration::from_secs_f64(random.unit() * 1.6 * undisturbed));
+                *met.entry(DOING[doing.load(Relaxed) as usize]).or_default() += 1;
+                server.kill().unwrap();
+                server.wait().unwrap();
+                server = serve(&path, at);
+            }
+            over.store(true, Relaxed);
+            (server, met)
+        }
+    });
+
     while !over.load(Relaxed) || next < 9 {
         arrive(next);
         next += 1;
     }
-    let (mut server, met) = killer.join().unwrap();
+    let (last, met) = killer.join().unwrap();
+    server = last;
     // One more, undisturbed: what the killed ones left goes with it.
     arrive(next);
     server.kill().unwrap();
@@ -203,7 +213,7 @@ fn trial(kills: u64, seed: u64) {
     assert_eq!(print(&db), print(&alone), "seed {seed}");
     println!(
         "{kills} kills, {} deliveries in {streams} streams, {resumed} of them with rows that were there; {} rows sent for {all}; \
-         killed while {met:?}; {:.1} s",
+         killed while {met:?}; {undisturbed:.2} s for one undisturbed, {:.1} s in all",
         acknowledged.len(),
         sent.load(Relaxed),
         started.elapsed().as_secs_f64()

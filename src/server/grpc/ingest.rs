@@ -2,7 +2,9 @@
 
 use super::arrival::{Told, blocking, done, follow, known, reply, settle};
 use super::files::files;
-use crate::base::Result;
+use crate::base::{Error, Result};
+use crate::db::Outcome;
+use crate::height::frame::CellRect;
 use crate::server::model::upload::{self, Said};
 use crate::server::operations;
 use crate::server::pools::Answer;
@@ -119,14 +121,23 @@ fn name(h: &v1::UploadHeader) -> String {
 
 /// The next message of an upload; `None`: the stream ended.
 async fn next(
+    state: &State,
     requests: &mut Streaming<v1::UploadRequest>,
     within: Duration,
-    idle: Duration,
 ) -> Answer<Option<Kind>> {
-    match timeout(within, requests.message()).await {
+    let message = tokio::select! {
+        biased;
+        () = state.uploads.stopping() => {
+            return Err(Status::unavailable(
+                "the server is stopping; what arrived is kept: call again with the same header",
+            ));
+        }
+        message = timeout(within, requests.message()) => message,
+    };
+    match message {
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "nothing was sent for {} s; what arrived is kept: call again with the same header",
-            idle.as_secs()
+            "nothing new was sent for {} s; what arrived is kept: call again with the same header",
+            state.settings.upload_idle.as_secs_f64()
         ))),
         Ok(Err(e)) => Err(e),
         Ok(Ok(None)) => Ok(None),
@@ -137,23 +148,24 @@ async fn next(
     }
 }
 
-/// Checks a header, and what it says against the newest version.
-async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<Arc<Said>> {
-    let live = state.live.clone();
+/// Checks a header, and what it says against the newest version. The outcome is there if that holds all samples already, by
+/// their hashes.
+async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<(Arc<Said>, Option<Outcome>)> {
+    let (live, uploads) = (state.live.clone(), state.uploads.clone());
     let check = move || {
         live.look()?;
         let said = upload::said(&header, live.db().crs())?;
         let sources = said.grids.iter().map(|g| Box::new(Described(g.info.clone())) as _).collect();
-        live.db().foresee(&live.newest(), &said.change(sources))?;
-        Ok(Arc::new(said))
+        let delivered = |k: usize, at: &CellRect| uploads.delivered(&said.grids[k], at);
+        let outcome = live.db().foresee(&live.newest(), &said.change(sources), &delivered)?;
+        Ok((Arc::new(said), outcome))
     };
     state.pools.work(check).await
 }
 
 /// One upload, from its header to its commit.
 async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>, told: &Told) -> Answer<()> {
-    let idle = state.settings.upload_idle;
-    let header = match next(requests, idle, idle).await? {
+    let header = match next(state, requests, state.settings.upload_idle).await? {
         Some(Kind::Header(header)) => header,
         Some(_) => return Err(Status::invalid_argument("the first message of an upload is its header")),
         None => return Err(Status::invalid_argument("the stream ended before a header came")),
@@ -162,7 +174,10 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
     if let Some(commit) = known(state, &operation).await? {
         return done(told, &operation, commit).await;
     }
-    let said = check(state, header.clone()).await?;
+    let (said, held) = check(state, header.clone()).await?;
+    if let Some(outcome) = held {
+        return done(told, &operation, operations::reply(&outcome, &operation)).await;
+    }
     let (uploads, h, id) = (state.uploads.clone(), header.clone(), operation.clone());
     let claimed = blocking(move || {
         uploads.compare(&h)?;
@@ -204,19 +219,23 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
     let ending = settle(claim, |claim| {
         let state = state.clone();
         async move {
-            let (s, checked) = (said.clone(), staging.clone());
+            let (s, checked, told) = (said.clone(), staging.clone(), hashes.clone());
             let prepare = move || {
                 let mut staging = checked.lock().unwrap_or_else(PoisonError::into_inner);
-                staging.check_hashes(&hashes)?;
+                staging.check_hashes(&told)?;
                 Ok(s.change(staging.sources()?))
             };
             let change = state.pools.arrival(prepare).await?;
             let (id, dry_run) = (said.operation.clone(), said.dry_run);
             let outcome = operations::commit(&state, id.clone(), dry_run, move || Ok(change)).await?;
             if !dry_run {
-                let uploads = state.uploads.clone();
-                // If this fails, the next sweep does it.
-                if let Err(e) = blocking(move || uploads.remove(&claim)).await {
+                let (uploads, done) = (state.uploads.clone(), outcome.clone());
+                // If this fails, the next sweep removes what is left.
+                let cleared = blocking(move || {
+                    let noted = uploads.deliver(&said, &hashes, &done);
+                    uploads.remove(&claim).and(noted)
+                });
+                if let Err(e) = cleared.await {
                     tracing::warn!("upload '{id}' is committed, its samples were not removed: {e}");
                 }
             }
@@ -229,7 +248,7 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
 fn hashes(finish: &v1::UploadFinish, grids: usize) -> Result<Vec<Option<[u8; 32]>>> {
     if !finish.hashes.is_empty() && finish.hashes.len() != grids {
         let reason = format!("{} for {grids} grids; give one for each, or none", finish.hashes.len());
-        return Err(crate::base::Error::invalid("finish.hashes", reason));
+        return Err(Error::invalid("finish.hashes", reason));
     }
     finish.hashes.iter().map(|h| upload::hash("finish.hashes", h)).collect()
 }
@@ -255,21 +274,28 @@ async fn blocks(
 ) -> Answer<v1::UploadFinish> {
     let idle = state.settings.upload_idle;
     let (mut heard, mut synced, mut touched) = (Instant::now(), Instant::now(), Instant::now());
-    let mut fresh_bytes = 0;
+    let (mut fresh_bytes, mut there) = (0, 0);
     loop {
         // While the next block is waited for, what is there becomes durable.
         let until_sync = if fresh_bytes > 0 { SYNC_AFTER.saturating_sub(synced.elapsed()) } else { idle };
         let left = idle.saturating_sub(heard.elapsed());
-        match next(requests, until_sync.min(left), idle).await {
+        match next(state, requests, until_sync.min(left)).await {
             Err(e) if e.code() == Code::DeadlineExceeded && heard.elapsed() < idle => {}
             Err(e) => return Err(e),
             Ok(Some(Kind::Finish(finish))) => return Ok(finish),
             Ok(Some(Kind::Block(block))) => {
-                heard = Instant::now();
                 let s = said.clone();
                 let block = state.pools.work(move || staging::unpack(&block, &s.grids)).await?;
-                let written = on_disk(staging, move |s| s.write(&block).map(|()| s.fresh_bytes()));
-                fresh_bytes = written.await?;
+                let written = on_disk(staging, move |s| {
+                    s.write(&block)?;
+                    Ok((s.fresh_bytes(), s.rows().there()))
+                });
+                let now;
+                (fresh_bytes, now) = written.await?;
+                // Rows that are there already do not keep a stream alive.
+                if now > there {
+                    (heard, there) = (Instant::now(), now);
+                }
             }
             Ok(Some(Kind::Header(_))) => {
                 return Err(Status::invalid_argument("an upload has one header; a second one came"));
@@ -281,8 +307,7 @@ async fn blocks(
             }
         }
         if fresh_bytes >= SYNC_BYTES || (fresh_bytes > 0 && synced.elapsed() >= SYNC_AFTER) {
-            let durable = on_disk(staging, |s| s.sync().map(|spans| (spans, s.rows().there())));
-            let (received, there) = durable.await?;
+            let received = on_disk(staging, Staging::sync).await?;
             (synced, fresh_bytes) = (Instant::now(), 0);
             let share = there as f64 / said.rows as f64;
             told.tell(v1::UploadReply { received, share, ..reply(&said.operation, Standing::Uploading) })

@@ -11,17 +11,19 @@ mod rows;
 pub mod staging;
 
 use super::Settings;
-use super::model::upload::{self, Said};
+use super::model::upload::{self, Said, StagedGrid};
 use super::pools::Answer;
+use crate::base::bytes::Put;
 use crate::base::{Error, Result};
-use crate::db::{self, Db};
+use crate::db::{self, Db, Outcome};
+use crate::height::frame::CellRect;
 use crate::wire::v1;
 use prost::Message;
 use staging::Staging;
 use std::collections::{HashMap, HashSet};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::watch;
 
@@ -51,6 +53,7 @@ pub struct Uploads {
     most_bytes: u64,
     work: Mutex<HashMap<String, Work>>,
     catalog: Mutex<Option<db::Uploads>>,
+    stopped: OnceLock<watch::Receiver<bool>>,
 }
 
 /// The right to work on one operation; given back when dropped.
@@ -111,6 +114,7 @@ impl Uploads {
             most_bytes: settings.uploads_bytes_max,
             work: Mutex::default(),
             catalog: Mutex::default(),
+            stopped: OnceLock::new(),
         }
     }
 
@@ -170,6 +174,33 @@ impl Uploads {
                 ),
             )),
         }
+    }
+
+    /// The tile that a grid with a hash became before, of the posts that it covers.
+    pub fn delivered(&self, grid: &StagedGrid, at: &CellRect) -> Result<Option<[u8; 16]>> {
+        // Where nothing was uploaded yet there is no catalog to ask, and none is made.
+        if grid.hash.is_none() || !self.db.uploads_folder().exists() {
+            return Ok(None);
+        }
+        let Some(id) = delivery(grid, grid.hash.as_ref(), at) else { return Ok(None) };
+        self.catalog(|c| c.delivered(&id))
+    }
+
+    /// Notes which tiles the grids of a committed upload became, where their hashes were told.
+    pub fn deliver(&self, said: &Said, hashes: &[Option<[u8; 32]>], outcome: &Outcome) -> Result<()> {
+        let infos: Vec<_> = said.grids.iter().map(|g| g.info.clone()).collect();
+        let snapshot = self.db.snapshot(Some(outcome.version))?;
+        let tiles = self.db.tiles_of(&snapshot, &outcome.survey, &infos)?;
+        let mut found = Vec::new();
+        for (k, (grid, tile)) in said.grids.iter().zip(tiles).enumerate() {
+            let hash = grid.hash.or(hashes.get(k).copied().flatten());
+            if let Some((at, key)) = tile
+                && let Some(id) = delivery(grid, hash.as_ref(), &at)
+            {
+                found.push((id, key));
+            }
+        }
+        if found.is_empty() { Ok(()) } else { self.catalog(|c| c.deliver(&found)) }
     }
 
     /// Opens the folder of an upload, or begins it.
@@ -297,9 +328,20 @@ impl Uploads {
         Ok(removed)
     }
 
+    /// Waits until the server stops: no more samples are taken then.
+    pub async fn stopping(&self) {
+        match self.stopped.get().cloned() {
+            Some(mut stopped) => {
+                let _ = stopped.wait_for(|s| *s).await;
+            }
+            None => std::future::pending().await,
+        }
+    }
+
     /// Sweeps now, and now and then until told to stop.
     pub fn sweep_on(self: &Arc<Self>, mut stopped: watch::Receiver<bool>) {
         let uploads = self.clone();
+        let _ = self.stopped.set(stopped.clone());
         tokio::spawn(async move {
             let every = (uploads.kept / 4).clamp(Duration::from_secs(1), LOOK_EVERY);
             while !*stopped.borrow() {
@@ -317,6 +359,21 @@ impl Uploads {
             }
         });
     }
+}
+
+/// What a grid is and what its rows hash to, as one hash: equal ones become the same tile.
+fn delivery(grid: &StagedGrid, hash: Option<&[u8; 32]>, at: &CellRect) -> Option<[u8; 32]> {
+    let mut bytes = Vec::with_capacity(128);
+    bytes.put(b"terraquilt delivery 1");
+    for v in [at.i0, at.j0, at.i1, at.j1] {
+        bytes.put_i64(v);
+    }
+    bytes.put_u8(grid.info.sample_type as u8);
+    bytes.put_u8(u8::from(grid.masked));
+    bytes.put_u8(u8::from(grid.info.nodata.is_some()));
+    bytes.put_f64(grid.info.nodata.unwrap_or(0.0));
+    bytes.put(hash?);
+    Some(*blake3::hash(&bytes).as_bytes())
 }
 
 /// The header that began an upload.
