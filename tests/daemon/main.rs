@@ -6,3 +6,9 @@ mod support;
 
 /// A server starts, answers and stops.
 mod serving;
+
+/// Answers, budgets and differences of Query.
+mod queries;
+
+/// Vertices and masks as they travel.
+mod payload;
