@@ -31,7 +31,9 @@ fn main() -> Result<()> {
     let frames: usize = args.next().map_or(200, |a| a.parse().expect(usage));
     let now = db.snapshot(None)?;
     println!("                      first view          a frame                        bytes a patch added");
-    println!("pixels flight         patches     bytes   added  removed  bytes (most)   all    vertices  of 4106");
+    println!(
+        "pixels flight         patches     bytes   added  removed  bytes (most)   all    vertices  of 4106"
+    );
     for pixels in [1.0, 3.0] {
         for flight in FLIGHTS {
             fly(&now, pixels, flight, frames)?;

@@ -59,7 +59,8 @@ impl Connection {
         }
         let came = out.patches.len() as u64;
         if !ended || came != out.header.patches {
-            let message = format!("the answer ended after {came} of {} patches; ask again", out.header.patches);
+            let message =
+                format!("the answer ended after {came} of {} patches; ask again", out.header.patches);
             return Err(Error::Remote { server: self.server.clone(), message });
         }
         Ok(out)

@@ -36,7 +36,8 @@ async fn vertices_are_the_heights_of_the_server() {
     assert!(points.len() > 100_000, "{}", points.len());
     let heights = now.heights(&points, &Tolerance::Constant(0.0), Blend::Exact).unwrap();
     let off = |e: &terraquilt::height::surface::Evaluation, z: f64| (e.z - z).abs();
-    let worst = heights.iter().zip(&known).filter_map(|(e, z)| Some(off(e.as_ref()?, *z))).fold(0.0, f64::max);
+    let worst =
+        heights.iter().zip(&known).filter_map(|(e, z)| Some(off(e.as_ref()?, *z))).fold(0.0, f64::max);
     assert!(worst <= 1e-6, "{worst}");
     server.stop().await.unwrap();
 }

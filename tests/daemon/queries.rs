@@ -76,8 +76,7 @@ async fn answers_are_those_of_the_offline_database() {
     for at in [1, 2] {
         let now = db.snapshot(Some(at)).unwrap();
         for e in [0.0, 2.0, 15.0, f64::INFINITY] {
-            let found =
-                client.patches(v1::PatchesRequest { at, explain: true, ..asked(e) }).await.unwrap();
+            let found = client.patches(v1::PatchesRequest { at, explain: true, ..asked(e) }).await.unwrap();
             let how = Blend::Exact.into();
             let offline =
                 now.select(&Query { area: None.into(), tolerance: Tolerance::Constant(e), how }).unwrap();
@@ -125,7 +124,8 @@ async fn budgets_are_kept_and_used() {
     let next = (1.0f64 / 16.0).exp2();
     for share in [2, 5, 20] {
         let most = whole.patches.len() as u64 / share;
-        let found = client.patches(v1::PatchesRequest { max_patches: Some(most), ..asked(1.0) }).await.unwrap();
+        let found =
+            client.patches(v1::PatchesRequest { max_patches: Some(most), ..asked(1.0) }).await.unwrap();
         assert!(found.patches.len() as u64 <= most);
         let f = found.header.factor;
         let Some(v1::tolerance::Kind::ErrorM(e)) = found.header.tolerance.unwrap().kind else { panic!() };
@@ -214,6 +214,10 @@ async fn questions_that_are_none_are_refused_and_empty_ones_answered() {
         assert_eq!(s.code(), Code::InvalidArgument, "{request:?}: {s}");
         assert!(s.message().len() > 20, "{s}");
     }
+    let bent = v1::PatchesRequest { seams: v1::Seams::All as i32, ..asked(1.0) };
+    let refused = client.query().patches(bent.clone()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::FailedPrecondition, "{refused}");
+    assert!(client.patches(v1::PatchesRequest { descriptors_only: true, ..bent }).await.is_ok());
     let gone = client.query().patches(v1::PatchesRequest { at: 99, ..asked(1.0) }).await.unwrap_err();
     assert_eq!(gone.code(), Code::NotFound, "{gone}");
     server.stop().await.unwrap();
