@@ -4,5 +4,13 @@
 /// Databases, servers and clients for these tests.
 mod support;
 
+/// Sources in memory, random worlds: shared with the other binary.
+#[allow(dead_code)]
+#[path = "../support/mod.rs"]
+mod worlds;
+
 /// A server starts, answers and stops.
 mod serving;
+
+/// Views: sets that stay in step.
+mod views;
