@@ -317,8 +317,11 @@ impl View {
         ask: bool,
     ) -> Result<View> {
         let mut client = connection.view().max_decoding_message_size(4 * MESSAGE_BYTES_MAX);
-        let question =
-            v1::Question { number: asked, region: opening.region.clone(), tolerance: opening.tolerance.clone() };
+        let question = v1::Question {
+            number: asked,
+            region: opening.region.clone(),
+            tolerance: opening.tolerance.clone(),
+        };
         let open = v1::OpenView {
             question: ask.then_some(question),
             blend: opening.blend as i32,

@@ -3,7 +3,9 @@
 use crate::base::Error;
 use crate::height::surface::Seams;
 use crate::server::status::status;
-use crate::server::view::{Aborted, Attached, Incoming, Manner, Presented, Question, Reins, Reply, Wanted, feed};
+use crate::server::view::{
+    Aborted, Attached, Incoming, Manner, Presented, Question, Reins, Reply, Wanted, feed,
+};
 use crate::server::{Answer, State, model};
 use crate::wire::v1;
 use crate::wire::v1::view_request::Kind;
@@ -86,11 +88,7 @@ async fn open(state: &Arc<State>, open: v1::OpenView) -> Answer<(Attached, Optio
 }
 
 /// The client's side of a stream: reads questions until one cannot be answered or the client goes.
-async fn read(
-    state: &State,
-    reins: &Reins,
-    incoming: &mut Streaming<v1::ViewRequest>,
-) -> Answer<()> {
+async fn read(state: &State, reins: &Reins, incoming: &mut Streaming<v1::ViewRequest>) -> Answer<()> {
     while let Some(request) = incoming.message().await? {
         reins.applied(request.applied);
         match request.kind {
@@ -124,7 +122,10 @@ impl View for ViewService {
             Status::deadline_exceeded(format!("no view was opened within {s} s; send `open` first"))
         })??;
         let Some(v1::ViewRequest { kind: Some(Kind::Open(first)), .. }) = first else {
-            return Err(status(Error::invalid("open", "is not the first request of the stream; send it first")));
+            return Err(status(Error::invalid(
+                "open",
+                "is not the first request of the stream; send it first",
+            )));
         };
         let (attached, presented) = open(&self.state, first).await?;
         let (state, reins) = (self.state.clone(), attached.reins());

@@ -34,13 +34,8 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Whether nothing but the version differs.
+    /// Whether patches, masks, corrections and surveys are the same. Fixed facts may be others.
     pub fn is_empty(&self) -> bool {
-        self.ground.is_none() && self.same_ground()
-    }
-
-    /// Whether patches, masks, corrections and surveys are the same.
-    pub fn same_ground(&self) -> bool {
         self.removed.is_empty()
             && self.added.is_empty()
             && self.changed.is_empty()
@@ -79,12 +74,17 @@ fn blocks(old: &Arc<Vec<Block>>, new: Vec<Block>) -> (Arc<Vec<Block>>, Vec<Block
         return (old.clone(), Vec::new(), Vec::new());
     }
     let (mut come, mut gone) = (Vec::new(), Vec::new());
-    merge(old, &new, |a, b| a.key.cmp(&b.key), |a, b| match (a, b) {
-        (Some(a), None) => gone.push(a.key),
-        (Some(a), Some(b)) if a.bytes == b.bytes => {}
-        (_, Some(b)) => come.push(b.clone()),
-        (None, None) => {}
-    });
+    merge(
+        old,
+        &new,
+        |a, b| a.key.cmp(&b.key),
+        |a, b| match (a, b) {
+            (Some(a), None) => gone.push(a.key),
+            (Some(a), Some(b)) if a.bytes == b.bytes => {}
+            (_, Some(b)) => come.push(b.clone()),
+            (None, None) => {}
+        },
+    );
     (Arc::new(new), come, gone)
 }
 
@@ -102,34 +102,43 @@ pub fn lead(from: &Set, to: Target, handle: &mut u32) -> (Set, Difference) {
         from.members.clone()
     } else {
         let mut members = Vec::with_capacity(to.records.len());
-        merge(&from.members, &to.records, |m, r| m.record.id.cmp(&r.id), |old, new| match (old, new) {
-            (Some(m), None) => d.removed.push(*m),
-            (None, Some(r)) => {
-                let m = Member { record: *r, handle: *handle };
-                *handle += 1;
-                d.added.push(m);
-                members.push(m);
-            }
-            (Some(m), Some(r)) => {
-                let now = Member { record: *r, handle: m.handle };
-                if m.record != *r {
-                    d.changed.push((now, m.record.survey != r.survey));
+        merge(
+            &from.members,
+            &to.records,
+            |m, r| m.record.id.cmp(&r.id),
+            |old, new| match (old, new) {
+                (Some(m), None) => d.removed.push(*m),
+                (None, Some(r)) => {
+                    let m = Member { record: *r, handle: *handle };
+                    *handle += 1;
+                    d.added.push(m);
+                    members.push(m);
                 }
-                members.push(now);
-            }
-            (None, None) => {}
-        });
+                (Some(m), Some(r)) => {
+                    let now = Member { record: *r, handle: m.handle };
+                    if m.record != *r {
+                        d.changed.push((now, m.record.survey != r.survey));
+                    }
+                    members.push(now);
+                }
+                (None, None) => {}
+            },
+        );
         Arc::new(members)
     };
-    d.hash =
-        if d.removed.is_empty() && d.added.is_empty() { from.hash } else { hash(&members) };
+    d.hash = if d.removed.is_empty() && d.added.is_empty() { from.hash } else { hash(&members) };
     d.patches = members.len() as u64;
-    merge(&from.surveys, &to.surveys, |a, b| a.survey.cmp(&b.survey), |old, new| match (old, new) {
-        (Some(a), None) => d.surveys_removed.push(a.survey),
-        (Some(a), Some(b)) if Arc::ptr_eq(a, b) || a == b => {}
-        (_, Some(b)) => d.surveys.push(b.clone()),
-        (None, None) => {}
-    });
+    merge(
+        &from.surveys,
+        &to.surveys,
+        |a, b| a.survey.cmp(&b.survey),
+        |old, new| match (old, new) {
+            (Some(a), None) => d.surveys_removed.push(a.survey),
+            (Some(a), Some(b)) if Arc::ptr_eq(a, b) || a == b => {}
+            (_, Some(b)) => d.surveys.push(b.clone()),
+            (None, None) => {}
+        },
+    );
     let surveys = if d.surveys.is_empty() && d.surveys_removed.is_empty() {
         from.surveys.clone()
     } else {

@@ -50,7 +50,7 @@ fn commit(r: &mut Random, s: &Scratch, grids: &[Grid], there: &mut BTreeSet<usiz
     if !there.contains(&k) {
         s.ingest(&grids[k]);
         there.insert(k);
-    } else if r.chance(0.4) {
+    } else if r.chance(0.2) {
         let precedence = Some(r.below(5) as i64);
         s.change(Change::Set { survey: name, date: None::<Date>, precedence }).unwrap();
     } else {
@@ -132,7 +132,10 @@ struct Seen {
 fn steps(seed: u64, count: usize, seen: &mut Seen) {
     let mut r = Random::new(seed);
     let s = Scratch::new(Policy::Accuracy);
-    let grids: Vec<Grid> = (0..5).map(|k| random_grid(&mut r, &format!("s{k}"), 70)).collect();
+    let mut grids: Vec<Grid> = (0..5).map(|k| random_grid(&mut r, &format!("s{k}"), 70)).collect();
+    // A fine survey and a coarse one of equal rank: when the coarse one comes or leaves, tops of the fine one change.
+    grids[0] = Grid { precedence: None, ..hills("s0", [-20.0, 10.0], 70, 2.0, 0) };
+    grids[1] = Grid { precedence: None, accuracy: 0.2, ..hills("s1", [-100.0, 100.0], 60, 6.0, 0) };
     let mut there = BTreeSet::new();
     let how = How::from(if r.chance(0.7) { Blend::Exact } else { Blend::Plain });
     let manner = Manner { how, descriptors_only: r.chance(0.5) };
@@ -144,17 +147,22 @@ fn steps(seed: u64, count: usize, seen: &mut Seen) {
     let mut lagging = ledger.clone();
     let mut query = Query { area: Area::Everything, tolerance: Tolerance::Constant(1.0), how };
     for step in 0..count {
-        let arrived = step % 100 == 0 || r.chance(0.01);
+        let arrived = step % 50 == 0 || r.chance(0.01);
         if arrived {
             commit(&mut r, &s, &grids, &mut there);
             snapshot = Arc::new(s.db.snapshot(None).unwrap());
         }
-        let asked = !arrived || r.chance(0.3);
+        let broken = r.chance(0.05);
+        let asked = !arrived || broken || r.chance(0.2);
         if asked {
             (query.area, query.tolerance) = question(&mut r, &mut at);
         }
+        // Some commits are seen from above.
+        if step % 50 == 49 {
+            (query.area, query.tolerance) = (Area::Everything, Tolerance::Constant(r.unit() * 2.0));
+        }
         // A broken connection: the client comes back with something that it had.
-        if r.chance(0.05) {
+        if broken {
             let back = clients[r.below(clients.len() as u64) as usize].clone();
             if back.number > 0 && ledger.resume(back.number, &back.hash) {
                 seen.resumed += 1;
@@ -237,7 +245,8 @@ fn laws_of_differences() {
 #[ignore = "ten thousand steps: a minute"]
 fn laws_of_differences_over_ten_thousand_steps() {
     let seen = run(10, 1000);
-    assert!(seen.changed > 100 && seen.moved > 0 && seen.anew > 0 && seen.untouched > 0, "{seen:?}");
+    assert!(seen.changed > seen.moved && seen.moved > 20, "{seen:?}");
+    assert!(seen.anew > 0 && seen.untouched > 0, "{seen:?}");
 }
 
 #[test]

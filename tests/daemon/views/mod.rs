@@ -2,10 +2,10 @@
 
 /// The laws of differences over random steps, arrivals and removals, without a network.
 mod laws;
-/// Streams: steering, commits, slow clients, bad questions.
-mod streams;
 /// Broken connections: coming back, taking over, sessions that are gone.
 mod sessions;
+/// Streams: steering, commits, slow clients, bad questions.
+mod streams;
 
 use crate::worlds::{Grid, Random, Scratch, change, ground};
 use std::collections::BTreeMap;
@@ -32,9 +32,8 @@ fn answered(s: &Snapshot, q: &Query) -> Known {
 
 /// What a client holds.
 fn held(set: &Set) -> Known {
-    let one = |p: &v1::Patch| {
-        (p.id.as_ref().try_into().expect("16 bytes"), (p.survey, p.top_m.to_bits(), p.floor))
-    };
+    let one =
+        |p: &v1::Patch| (p.id.as_ref().try_into().expect("16 bytes"), (p.survey, p.top_m.to_bits(), p.floor));
     set.patches.values().map(one).collect()
 }
 
@@ -103,8 +102,7 @@ impl World {
         grids.iter().for_each(|g| {
             scratch.ingest(g);
         });
-        let mut settings =
-            Settings { listen: ([127, 0, 0, 1], 0).into(), ..Settings::new(scratch.path()) };
+        let mut settings = Settings { listen: ([127, 0, 0, 1], 0).into(), ..Settings::new(scratch.path()) };
         with(&mut settings);
         let server = start(settings).await.expect("a free port");
         World { scratch, server }

@@ -91,7 +91,13 @@ async fn a_client_that_does_not_read_gets_few_large_steps() {
             let (b, error_m) = (moved(&mut r), [0.0, 0.7, 2.0][r.below(3) as usize]);
             last = (b, error_m, view.steer(Some(boxed(b)), constant(error_m)).await.unwrap());
             if k % 40 == 20 {
-                w.ingest(&hills(&format!("{ahead}{follow}{k}"), [r.unit() * 200.0, -r.unit() * 200.0], 40, 1.0, k));
+                w.ingest(&hills(
+                    &format!("{ahead}{follow}{k}"),
+                    [r.unit() * 200.0, -r.unit() * 200.0],
+                    40,
+                    1.0,
+                    k,
+                ));
             }
         }
         let mut read = 0;
@@ -158,7 +164,10 @@ async fn questions_that_are_none_are_refused_with_a_sentence() {
     for (question, word) in bad {
         for requests in [
             vec![opens(question.clone())],
-            vec![opens(good.clone()), v1::ViewRequest { kind: Some(Kind::Steer(question.clone())), applied: 0 }],
+            vec![
+                opens(good.clone()),
+                v1::ViewRequest { kind: Some(Kind::Steer(question.clone())), applied: 0 },
+            ],
         ] {
             let status = ends_with(&w, requests).await;
             assert_eq!(status.code(), Code::InvalidArgument, "{status}");
@@ -203,7 +212,8 @@ async fn a_server_that_stops_ends_its_views() {
     let w = World::of(&[hills("a", [0.0, 0.0], 60, 2.0, 0)], |_| ()).await;
     let mut view = View::open(&w.connect().await, through_window()).await.unwrap();
     next(&mut view).await.unwrap();
-    let stopped = tokio::spawn(async move { tokio::time::timeout(Duration::from_secs(30), w.server.stop()).await });
+    let stopped =
+        tokio::spawn(async move { tokio::time::timeout(Duration::from_secs(30), w.server.stop()).await });
     assert!(next(&mut view).await.unwrap_err().to_string().contains("stopping"));
     drop(view);
     stopped.await.unwrap().expect("the server stops in time").unwrap();
