@@ -4,6 +4,11 @@
 /// Databases, servers and clients for these tests.
 mod support;
 
+/// Sources in memory, random worlds: shared with the other binary.
+#[allow(dead_code)]
+#[path = "../support/mod.rs"]
+mod worlds;
+
 /// A server starts, answers and stops.
 mod serving;
 
@@ -12,3 +17,6 @@ mod queries;
 
 /// Vertices and masks as they travel.
 mod payload;
+
+/// Views: sets that stay in step.
+mod views;

@@ -3,10 +3,12 @@
 mod heights;
 mod outgoing;
 mod query;
+mod view;
 
 use super::State;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
+use crate::wire::v1::view_server::ViewServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
@@ -24,6 +26,8 @@ pub fn routes(state: &Arc<State>) -> Router {
     let query = QueryServer::new(query::QueryService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
-    let routes = Routes::new(v1).add_service(heights).add_service(query);
+    let view =
+        ViewServer::new(view::ViewService::new(state.clone())).max_decoding_message_size(MESSAGE_BYTES_MAX);
+    let routes = Routes::new(v1).add_service(heights).add_service(query).add_service(view);
     routes.into_axum_router()
 }
