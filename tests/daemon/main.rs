@@ -27,5 +27,19 @@ mod guarded;
 mod pages;
 /// Tokens, rights, TLS, mutual TLS.
 mod security;
+/// Sources in memory, random worlds: shared with the other binary.
+#[allow(dead_code)]
+#[path = "../support/mod.rs"]
+mod worlds;
+
 /// A server starts, answers and stops.
 mod serving;
+
+/// Answers, budgets and differences of Query.
+mod queries;
+
+/// Vertices and masks as they travel.
+mod payload;
+
+/// Views: sets that stay in step.
+mod views;

@@ -38,8 +38,9 @@ pub fn routes(state: &Arc<State>, stopped: watch::Receiver<bool>) -> Result<Rout
     let heights = HeightsServer::new(heights::HeightsService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
-    let query = QueryServer::new(query::QueryService::new(state.clone()))
-        .max_decoding_message_size(MESSAGE_BYTES_MAX);
+    let query = QueryServer::new(query::QueryService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let view =
         ViewServer::new(view::ViewService::new(state.clone())).max_decoding_message_size(MESSAGE_BYTES_MAX);
     let routes = Routes::new(reflection().build_v1().map_err(bad)?)

@@ -34,13 +34,8 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Whether nothing but the version differs.
+    /// Whether patches, masks, corrections and surveys are the same. Fixed facts may be others.
     pub fn is_empty(&self) -> bool {
-        self.ground.is_none() && self.same_ground()
-    }
-
-    /// Whether patches, masks, corrections and surveys are the same.
-    pub fn same_ground(&self) -> bool {
         self.removed.is_empty()
             && self.added.is_empty()
             && self.changed.is_empty()

@@ -60,7 +60,7 @@ impl Ledger {
         let by_height = target.by_height;
         let mut handle = self.handle;
         let (mut set, mut d) = lead(self.last(), target, &mut handle);
-        if answers.is_none() && d.same_ground() && !(by_height && d.other_heights) {
+        if answers.is_none() && d.is_empty() && !(by_height && d.other_heights) {
             return None;
         }
         self.handle = handle;
@@ -100,5 +100,70 @@ impl Ledger {
     /// Begins anew: the client holds nothing.
     pub fn begin(&mut self) {
         self.sent = VecDeque::from([Arc::new(Set::empty())]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::height::lod::{PatchId, Place, SurveyNumber};
+    use crate::store::quadtree::Record;
+
+    /// The patches `from..to` of no survey in particular.
+    fn target(from: u8, to: u8) -> Target {
+        let record = |k: u8| Record {
+            top: 1.0,
+            bot: 0.0,
+            floor: false,
+            survey: SurveyNumber(1),
+            place: Place { level: 0, i: i32::from(k), j: 0 },
+            id: PatchId([k; 16]),
+        };
+        Target {
+            version: 1,
+            records: (from..to).map(record).collect(),
+            surveys: Vec::new(),
+            masks: Vec::new(),
+            corrections: Vec::new(),
+            ground: Arc::default(),
+            by_height: false,
+        }
+    }
+
+    #[test]
+    fn when_handles_run_out_the_view_begins_anew() {
+        let mut ledger = Ledger::default();
+        ledger.step(target(0, 10), Some(1));
+        ledger.handle = u32::MAX - 15;
+        let d = ledger.step(target(5, 15), Some(2)).unwrap();
+        assert_eq!((d.from, d.removed.len(), d.added.len()), (1, 5, 5));
+        assert_eq!(d.added[0].handle, u32::MAX - 15);
+        let d = ledger.step(target(8, 20), Some(3)).unwrap();
+        assert_eq!((d.from, d.to, d.removed.len(), d.added.len()), (0, 3, 0, 12));
+        assert_eq!(d.added[0].handle, 1);
+    }
+
+    #[test]
+    fn handles_and_numbers_are_given_once() {
+        let mut ledger = Ledger::default();
+        let first = ledger.step(target(0, 4), Some(1)).unwrap();
+        let lost = ledger.step(target(0, 6), Some(2)).unwrap();
+        assert!(ledger.resume(1, &first.hash));
+        let again = ledger.step(target(0, 8), Some(3)).unwrap();
+        assert_eq!((again.from, again.to, again.added.len()), (1, 3, 4));
+        assert!(again.added.iter().all(|m| m.handle > lost.added[1].handle));
+        assert!(!ledger.resume(2, &lost.hash), "what was lost is no set to come back with");
+    }
+
+    #[test]
+    fn old_sets_are_forgotten() {
+        let mut ledger = Ledger::default();
+        let hashes: Vec<_> = (0..100).map(|k| ledger.step(target(0, k + 1), Some(1)).unwrap().hash).collect();
+        let known = |l: &Ledger, n: usize| l.clone().resume(n as u64, &hashes[n - 1]);
+        assert!(known(&ledger, 100) && known(&ledger, 101 - SETS_KEPT) && !known(&ledger, 100 - SETS_KEPT));
+        ledger.applied(95);
+        assert!(known(&ledger, 95) && !known(&ledger, 94));
+        ledger.applied(u64::MAX);
+        assert!(known(&ledger, 100) && ledger.sent.len() == 1);
     }
 }

@@ -141,14 +141,15 @@ async fn steps(
         let (question, answers, snapshot) = loop {
             let now = wanted.borrow_and_update().clone();
             arrivals.borrow_and_update();
-            let snapshot = state.live.newest();
+            let newest = state.live.newest().number();
             let asked = done.as_ref().is_none_or(|(q, _)| !Arc::ptr_eq(q, &now.question));
-            let arrived = done.as_ref().is_none_or(|(_, v)| *v != snapshot.number());
+            let arrived = done.as_ref().is_none_or(|(_, v)| *v != newest);
             let under_way = ledger.number().saturating_sub(now.applied.max(before));
             if (asked || arrived) && (now.ahead == 0 || under_way < u64::from(now.ahead)) {
                 ledger.applied(now.applied);
-                break (now.question.clone(), asked.then_some(now.question.number), snapshot);
+                break (now.question.clone(), asked.then_some(now.question.number), state.live.newest());
             }
+            // No version is held meanwhile: it may be pruned.
             tokio::select! {
                 status = ends.end() => return Err(status.into()),
                 () = tx.closed() => return Err(End::Gone),
