@@ -14,3 +14,9 @@ mod serving;
 
 /// Views: sets that stay in step.
 mod views;
+
+/// Answers, budgets and differences of Query.
+mod queries;
+
+/// Vertices and masks as they travel.
+mod payload;

@@ -1,13 +1,15 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod heights;
+mod outgoing;
 mod query;
 mod view;
 
 use super::State;
-use crate::wire;
-use crate::wire::MESSAGE_BYTES_MAX;
+use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::view_server::ViewServer;
+use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
 use tonic::service::Routes;
@@ -18,9 +20,15 @@ pub fn routes(state: &Arc<State>) -> Router {
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .build_v1()
         .expect("the descriptors were made by the build");
-    let view = ViewServer::new(view::ViewService::new(state.clone()));
-    let routes = Routes::new(v1)
-        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
-        .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
+    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let query = QueryServer::new(query::QueryService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let view = ViewServer::new(view::ViewService::new(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let routes = Routes::new(v1).add_service(heights).add_service(query).add_service(view);
     routes.into_axum_router()
 }

@@ -1,71 +1,42 @@
 //! The Query service.
 
+use super::outgoing::{Stream, stream};
 use crate::base::Error;
 use crate::height::surface::Seams;
 use crate::server::answer::{self, Asked, Budget, Parts};
-use crate::server::status::status;
 use crate::server::{Answer, State, model};
 use crate::wire::v1;
 use crate::wire::v1::patches_reply::Kind;
 use crate::wire::v1::query_server::Query;
 use std::sync::Arc;
-use tokio::sync::mpsc;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Request, Response, Status};
-
-/// Messages that are ready before the transport takes them.
-const READY: usize = 1;
-
-type Reply = Result<v1::PatchesReply, Status>;
+use tonic::{Request, Response};
 
 /// The Query service.
-pub struct QueryService {
-    state: Arc<State>,
-}
+pub struct QueryService(pub Arc<State>);
 
 impl QueryService {
-    pub fn new(state: Arc<State>) -> QueryService {
-        QueryService { state }
-    }
-
     /// Sends header, parts and end. A part is computed when there is room for it.
-    fn send(&self, parts: Parts) -> Response<ReceiverStream<Reply>> {
-        let (tx, rx) = mpsc::channel(READY);
-        let state = self.state.clone();
-        tokio::spawn(async move {
-            let mut parts = parts;
-            let mut next = Some(Kind::Header(std::mem::take(&mut parts.header)));
-            while let Some(kind) = next.take() {
-                let last = matches!(kind, Kind::End(_));
-                // Who asked may be gone.
-                let Ok(()) = tx.send(Ok(v1::PatchesReply { kind: Some(kind) })).await else { return };
-                if last {
-                    return;
-                }
-                let Ok(room) = tx.reserve().await else { return };
-                let made = state.pools.answer(move || {
-                    let part = parts.next()?;
-                    Ok((part, parts))
-                });
-                match made.await {
-                    Ok((Some(part), left)) => {
-                        parts = left;
-                        drop(room);
-                        next = Some(Kind::Part(part));
-                    }
-                    Ok((None, left)) => {
-                        parts = left;
-                        drop(room);
-                        next = Some(Kind::End(std::mem::take(&mut parts.end)));
-                    }
-                    Err(s) => {
-                        room.send(Err(s));
-                        return;
-                    }
+    fn send(&self, mut parts: Parts) -> Response<Stream<v1::PatchesReply>> {
+        let state = self.0.clone();
+        stream(|out| async move {
+            let reply = |kind| v1::PatchesReply { kind: Some(kind) };
+            out.send(reply(Kind::Header(std::mem::take(&mut parts.header)))).await?;
+            loop {
+                out.room().await?;
+                let (part, left) = state
+                    .pools
+                    .answer(move || {
+                        let part = parts.next()?;
+                        Ok((part, parts))
+                    })
+                    .await?;
+                parts = left;
+                match part {
+                    Some(part) => out.send(reply(Kind::Part(part))).await?,
+                    None => return out.send(reply(Kind::End(std::mem::take(&mut parts.end)))).await,
                 }
             }
-        });
-        Response::new(ReceiverStream::new(rx))
+        })
     }
 }
 
@@ -79,12 +50,12 @@ fn positive(what: &str, n: Option<u64>) -> Result<Option<u64>, Error> {
 
 #[tonic::async_trait]
 impl Query for QueryService {
-    type PatchesStream = ReceiverStream<Reply>;
-    type DifferenceStream = ReceiverStream<Reply>;
+    type PatchesStream = Stream<v1::PatchesReply>;
+    type DifferenceStream = Stream<v1::PatchesReply>;
 
     async fn patches(&self, request: Request<v1::PatchesRequest>) -> Answer<Response<Self::PatchesStream>> {
-        let state = self.state.clone();
-        let parts = self.state.pools.answer(move || {
+        let state = self.0.clone();
+        let parts = self.0.pools.answer(move || {
             let r = request.into_inner();
             let how = model::how(r.blend, r.seams, Seams::Off)?;
             let asked =
@@ -103,8 +74,8 @@ impl Query for QueryService {
         &self,
         request: Request<v1::DifferenceRequest>,
     ) -> Answer<Response<Self::DifferenceStream>> {
-        let state = self.state.clone();
-        let parts = self.state.pools.answer(move || {
+        let state = self.0.clone();
+        let parts = self.0.pools.answer(move || {
             let r = request.into_inner();
             let how = model::how(r.blend, r.seams, Seams::Off)?;
             let asked = Asked::new(r.region.as_ref(), r.tolerance.as_ref(), how, r.descriptors_only, false)?;
