@@ -5,7 +5,7 @@ use crate::base::{Error, Result};
 use crate::db::query::{self, Query, Selection};
 use crate::db::{MaskPart, Snapshot};
 use crate::height::lod::SurveyNumber;
-use crate::height::surface::How;
+use crate::height::surface::{How, Seams};
 use crate::store::quadtree::Record;
 use crate::wire::{MESSAGE_BYTES, v1};
 use prost::Message;
@@ -45,7 +45,7 @@ pub struct Asked {
 
 impl Asked {
     /// # Errors
-    /// If the region, the tolerance or the manner is none.
+    /// If the region, the tolerance or the manner is none, or patches are wanted with corrected seams.
     pub fn new(
         region: Option<&v1::Region>,
         tolerance: Option<&v1::Tolerance>,
@@ -53,6 +53,16 @@ impl Asked {
         descriptors_only: bool,
         explain: bool,
     ) -> Result<Asked> {
+        if how.seams != Seams::Off && !descriptors_only {
+            return Err(Error::unsupported(
+                "seams",
+                format!(
+                    "'{}' needs corrections, and this server does not send them with patches",
+                    how.seams.name()
+                ),
+                "ask for patches with seams off, for descriptors only, or ask Heights or Export for the corrected surface",
+            ));
+        }
         let query = model::query(region, tolerance, how)?;
         let tolerance = tolerance.cloned().unwrap_or_default();
         Ok(Asked { query, tolerance, descriptors_only, explain })

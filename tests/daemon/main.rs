@@ -12,11 +12,11 @@ mod worlds;
 /// A server starts, answers and stops.
 mod serving;
 
-/// Views: sets that stay in step.
-mod views;
-
 /// Answers, budgets and differences of Query.
 mod queries;
 
 /// Vertices and masks as they travel.
 mod payload;
+
+/// Views: sets that stay in step.
+mod views;

@@ -26,9 +26,8 @@ pub fn routes(state: &Arc<State>) -> Router {
     let query = QueryServer::new(query::QueryService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
-    let view = ViewServer::new(view::ViewService::new(state.clone()))
-        .max_decoding_message_size(MESSAGE_BYTES_MAX)
-        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let view =
+        ViewServer::new(view::ViewService::new(state.clone())).max_decoding_message_size(MESSAGE_BYTES_MAX);
     let routes = Routes::new(v1).add_service(heights).add_service(query).add_service(view);
     routes.into_axum_router()
 }
