@@ -164,7 +164,7 @@ impl Remote {
             explain: true,
             ..Default::default()
         };
-        let found = self.line.wait(patches::patches(&self.line.connection, request))?;
+        let found = self.line.wait(self.line.connection.patches(request))?;
         let mut records = found.patches.iter().map(|p| self.record(p)).collect::<Result<Vec<_>>>()?;
         records.sort_by(|a, b| a.id.cmp(&b.id));
         let how = found.end.explanation.unwrap_or_default();

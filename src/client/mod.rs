@@ -10,7 +10,6 @@ pub mod catalog;
 mod connection;
 pub mod heights;
 pub mod ingest;
-pub mod patches;
 pub mod query;
 pub mod view;
 
