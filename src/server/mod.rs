@@ -3,12 +3,15 @@
 //!
 //! - [`State`]: the database as it is now ([`Live`]), the threads that work for it ([`Pools`]);
 //! - `model`: messages become our types, once, at the edge; `status`: our errors become statuses;
+//! - `uploads`: samples as they arrive, until they are committed;
+//! - [`view`]: what clients hold, and what is sent to keep it in step;
 //! - `grpc`: one file a service of `proto/terraquilt/v1`;
 //! - [`tokens`]: who may ask for what; `calls`: what every call passes, whatever it asks;
 //! - `listen`: connections; `page`, `metrics`, `log`: what people and machines see of it;
 //! - [`configuration`]: flags, variables and a file become [`Settings`];
 //! - [`start`]: listens, and stops gracefully.
 
+mod answer;
 mod calls;
 pub mod command;
 pub mod configuration;
@@ -25,7 +28,10 @@ mod settings;
 mod state;
 mod status;
 pub mod tokens;
+mod uploads;
+pub mod view;
 
+pub use grpc::routes;
 pub use live::{Arrival, Live};
 pub use pools::{Answer, Pools};
 pub use settings::{LogForm, Settings, TlsFiles};
@@ -68,15 +74,17 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let io = |e| Error::invalid(format!("address {listen}"), e);
     let listener = TcpListener::bind(listen).await.map_err(io)?;
     let address = listener.local_addr().map_err(io)?;
-    let (stop, stopped) = watch::channel(false);
+    let stop = state.stop.clone();
+    let stopped = stop.subscribe();
     state.live.follow(stopped.clone());
+    state.uploads.sweep_on(stopped.clone());
     tokens.follow(stopped.clone());
     metrics::start(stopped.clone());
     let settings = &state.settings;
     let calls = Arc::new(Calls::new(settings, tokens, stopped.clone()));
     let cors = cors(&settings.allow_origin)?;
     let listen = Listen {
-        grpc: grpc::routes(&state, stopped.clone())?
+        grpc: grpc::routes(&state)
             .layer(from_fn_with_state(calls.clone(), calls::grpc))
             .layer(GrpcWebLayer::new())
             .layer(cors.clone()),
@@ -146,7 +154,7 @@ impl Running {
     /// Takes no more connections and calls, ends streams that have no end, lets other calls go on for the time of grace, and
     /// returns.
     pub async fn stop(self) -> Result<()> {
-        let _ = self.stop.send(true);
+        self.stop.send_replace(true);
         self.done.await.map_err(|e| Error::invalid("server", e))
     }
 }

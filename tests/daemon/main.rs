@@ -3,6 +3,8 @@
 
 /// Databases, servers and clients for these tests.
 mod support;
+/// Surveys as uploads.
+mod survey;
 
 /// Calls by path with raw bytes, HTTP by hand.
 mod raw;
@@ -13,5 +15,18 @@ mod guarded;
 mod pages;
 /// Tokens, rights, TLS, mutual TLS.
 mod security;
+
+/// Any bytes and any valid message as a request: a status or an answer, never a panic.
+mod requests;
+
+/// Surveys arrive.
+mod arrivals;
+/// A database of Mount St. Helens.
+mod hills;
+/// The server is killed while surveys arrive.
+mod killed;
+
+/// Points, lines and rasters from a server are those of the database, bit for bit.
+mod heights;
 /// A server starts, answers and stops.
 mod serving;

@@ -1,9 +1,22 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod arrival;
+mod catalog;
+mod files;
+mod heights;
+mod ingest;
+mod outgoing;
+mod query;
+mod report;
+mod view;
+
 use super::State;
-use crate::base::{Error, Result};
 use crate::server::tokens::rights;
 use crate::wire;
+use crate::wire::MESSAGE_BYTES_MAX;
+use crate::wire::v1::heights_server::HeightsServer;
+use crate::wire::v1::query_server::QueryServer;
+use crate::wire::v1::view_server::ViewServer;
 use axum::Router;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,20 +25,30 @@ use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-/// Every service, health and reflection. What all calls pass is laid around them by [`start`](crate::server::start).
-pub fn routes(_state: &Arc<State>, stopped: watch::Receiver<bool>) -> Result<Router> {
-    let reflection = || {
-        tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-    };
-    let bad = |e: tonic_reflection::server::Error| Error::invalid("reflection", e);
+/// Every service, health and reflection. What all calls pass is laid around them by [`start`](crate::server::start). Needs a
+/// runtime: it tells health when the server stops.
+pub fn routes(state: &Arc<State>) -> Router {
+    let view = ViewServer::new(view::ViewService::new(state.clone()));
+    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let (reporter, health) = tonic_health::server::health_reporter();
-    tokio::spawn(report(reporter, stopped));
-    let routes = Routes::new(reflection().build_v1().map_err(bad)?)
-        .add_service(reflection().build_v1alpha().map_err(bad)?)
-        .add_service(health);
-    Ok(routes.prepare().into_axum_router())
+    tokio::spawn(report(reporter, state.stop.subscribe()));
+    let routes = Routes::new(reflection().build_v1().expect("the descriptors were made by the build"))
+        .add_service(reflection().build_v1alpha().expect("the descriptors were made by the build"))
+        .add_service(health)
+        .add_service(catalog::service(state))
+        .add_service(heights)
+        .add_service(ingest::service(state))
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
+        .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
+    routes.prepare().into_axum_router()
+}
+
+fn reflection() -> tonic_reflection::server::Builder<'static> {
+    tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
 }
 
 /// Tells that each service serves, until the server is told to stop.
