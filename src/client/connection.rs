@@ -83,9 +83,10 @@ impl Connection {
             .tcp_nodelay(true);
         if url.starts_with("https://") {
             let mut tls = ClientTlsConfig::new();
-            if let Some(ca) = &address.ca {
-                tls = tls.ca_certificate(Certificate::from_pem(ca));
-            }
+            tls = match &address.ca {
+                Some(ca) => tls.ca_certificate(Certificate::from_pem(ca)),
+                None => tls.with_native_roots(),
+            };
             if let Some((certificate, key)) = &address.identity {
                 tls = tls.identity(Identity::from_pem(certificate, key));
             }
@@ -98,6 +99,11 @@ impl Connection {
                     .map_err(|_| Error::invalid("token", "holds characters that no token has"))?,
             ),
         };
+        let advice = if url.starts_with("https://") {
+            "does `terraquilt serve` speak TLS there, with a certificate for that name that is trusted here?"
+        } else {
+            "is `terraquilt serve` running there, without TLS?"
+        };
         let channel = endpoint.connect().await.map_err(|e| {
             let mut cause: &dyn std::error::Error = &e;
             while let Some(deeper) = cause.source() {
@@ -105,7 +111,7 @@ impl Connection {
             }
             Error::Remote {
                 server: address.server.clone(),
-                message: format!("cannot be reached: {cause}; is `terraquilt serve` running there?"),
+                message: format!("cannot be reached: {cause}; {advice}"),
             }
         })?;
         Ok(Connection {

@@ -77,7 +77,8 @@ async fn run(settings: Settings) -> Result<()> {
         (listens(SignalKind::interrupt())?, listens(SignalKind::terminate())?);
     let scheme = if settings.tls.is_some() { "https" } else { "http" };
     let running = start(settings).await?;
-    eprintln!("terraquilt listens on {scheme}://{}", running.address);
+    // Nobody may be reading.
+    let _ = writeln!(std::io::stderr(), "terraquilt listens on {scheme}://{}", running.address);
     either(&mut interrupt, &mut terminate).await;
     tracing::info!("stopping: no new calls; a second signal stops at once");
     tokio::select! {

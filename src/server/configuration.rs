@@ -194,6 +194,14 @@ const KEYS: &[Key] = &[
         uploads_kept,
         "How long what arrived of an upload is kept after its connection broke"
     ),
+    time!("upload-idle", upload_idle, "How long an upload may send nothing before its stream is ended"),
+    number!("uploads-max", uploads_max, 1_000_000, "Uploads that may be in progress at once"),
+    number!(
+        "uploads-bytes-max",
+        uploads_bytes_max,
+        1_000_000_000_000_000,
+        "Bytes that the samples of uploads may take on the disk"
+    ),
     time!("sessions-kept", sessions_kept, "How long the session of a view is kept after its stream ended"),
     number!("sessions-max", sessions_max, 1_000_000, "Sessions of views that may be held at once"),
     number!("patches-max", patches_max, 1_000_000_000, "Patches that one answer may have"),

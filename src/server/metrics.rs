@@ -2,6 +2,8 @@
 
 use super::State;
 use ::metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use axum::extract::State as Shared;
+use axum::response::{IntoResponse, Response};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -80,6 +82,10 @@ pub fn page(state: &State) -> String {
     let newest = state.live.newest();
     gauge!("terraquilt_version").set(newest.number() as f64);
     gauge!("terraquilt_surveys").set(newest.entries().count() as f64);
+    gauge!("terraquilt_view_sessions").set(state.views.count() as f64);
+    if let Ok(uploads) = state.uploads.count() {
+        gauge!("terraquilt_uploads_open").set(uploads as f64);
+    }
     for (pool, waiting) in state.pools.waiting() {
         gauge!("terraquilt_queue", "pool" => pool).set(waiting as f64);
     }
@@ -144,16 +150,24 @@ pub fn refused_connection(reason: &'static str) {
     counter!("terraquilt_connections_refused_total", "reason" => reason).increment(1);
 }
 
+/// Patches were made for an answer.
+pub fn patches_sent(service: &'static str, patches: usize) {
+    counter!("terraquilt_patches_sent_total", "service" => service).increment(patches as u64);
+}
+
 /// A commit that was asked for ended.
 pub fn commit(done: bool) {
     counter!("terraquilt_commits_total", "end" => if done { "done" } else { "failed" }).increment(1);
 }
 
 /// The page, for callers of `/metrics`.
-pub async fn scrape(
-    axum::extract::State(state): axum::extract::State<Arc<State>>,
-) -> axum::response::Response {
-    use axum::response::IntoResponse;
-    let kind = [(http::header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
-    (kind, page(&state)).into_response()
+pub async fn scrape(Shared(state): Shared<Arc<State>>) -> Response {
+    let shared = state.clone();
+    match state.pools.work(move || Ok(page(&shared))).await {
+        Ok(text) => {
+            let kind = [(http::header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
+            (kind, text).into_response()
+        }
+        Err(e) => (http::StatusCode::INTERNAL_SERVER_ERROR, format!("{}\n", e.message())).into_response(),
+    }
 }

@@ -84,7 +84,7 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let calls = Arc::new(Calls::new(settings, tokens, stopped.clone()));
     let cors = cors(&settings.allow_origin)?;
     let listen = Listen {
-        grpc: grpc::routes(&state, stopped.clone())?
+        grpc: grpc::routes(&state)
             .layer(from_fn_with_state(calls.clone(), calls::grpc))
             .layer(GrpcWebLayer::new())
             .layer(cors.clone()),

@@ -19,8 +19,9 @@ fn app(
     streaming: axum::routing::MethodRouter,
 ) -> Router {
     let tokens = Arc::new(Tokens::open(&settings.tokens_file()).unwrap());
-    let (_, stopped) = watch::channel(false);
-    let calls = Arc::new(Calls::new(settings, tokens, stopped));
+    // The server of these calls never stops.
+    let stop: &'static watch::Sender<bool> = Box::leak(Box::new(watch::Sender::new(false)));
+    let calls = Arc::new(Calls::new(settings, tokens, stop.subscribe()));
     Router::new().route(SHORT, short).route(STREAM, streaming).layer(from_fn_with_state(calls, grpc))
 }
 

@@ -11,7 +11,6 @@ mod report;
 mod view;
 
 use super::State;
-use crate::base::{Error, Result};
 use crate::server::tokens::rights;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
@@ -25,33 +24,34 @@ use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-/// Every service, health and reflection. What all calls pass is laid around them by [`start`](crate::server::start).
-pub fn routes(state: &Arc<State>, stopped: watch::Receiver<bool>) -> Result<Router> {
-    let reflection = || {
-        tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-    };
-    let bad = |e: tonic_reflection::server::Error| Error::invalid("reflection", e);
-    let (reporter, health) = tonic_health::server::health_reporter();
-    tokio::spawn(report(reporter, stopped));
-    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
-        .max_decoding_message_size(MESSAGE_BYTES_MAX)
-        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+/// Every service, health and reflection. What all calls pass is laid around them by [`start`](crate::server::start). Needs a
+/// runtime: it tells health when the server stops.
+pub fn routes(state: &Arc<State>) -> Router {
     let query = QueryServer::new(query::QueryService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let view =
         ViewServer::new(view::ViewService::new(state.clone())).max_decoding_message_size(MESSAGE_BYTES_MAX);
-    let routes = Routes::new(reflection().build_v1().map_err(bad)?)
-        .add_service(reflection().build_v1alpha().map_err(bad)?)
+    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let (reporter, health) = tonic_health::server::health_reporter();
+    tokio::spawn(report(reporter, state.stop.subscribe()));
+    let routes = Routes::new(reflection().build_v1().expect("the descriptors were made by the build"))
+        .add_service(reflection().build_v1alpha().expect("the descriptors were made by the build"))
         .add_service(health)
         .add_service(catalog::service(state))
         .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(query)
         .add_service(view);
-    Ok(routes.prepare().into_axum_router())
+    routes.prepare().into_axum_router()
+}
+
+fn reflection() -> tonic_reflection::server::Builder<'static> {
+    tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
 }
 
 /// Tells that each service serves, until the server is told to stop.

@@ -4,7 +4,7 @@ use super::outgoing::{Stream, stream};
 use crate::base::Error;
 use crate::height::surface::Seams;
 use crate::server::answer::{self, Asked, Budget, Parts};
-use crate::server::{Answer, State, model};
+use crate::server::{Answer, State, metrics, model};
 use crate::wire::v1;
 use crate::wire::v1::patches_reply::Kind;
 use crate::wire::v1::query_server::Query;
@@ -32,7 +32,10 @@ impl QueryService {
                     .await?;
                 parts = left;
                 match part {
-                    Some(part) => out.send(reply(Kind::Part(part))).await?,
+                    Some(part) => {
+                        metrics::patches_sent("Query", part.patches.len());
+                        out.send(reply(Kind::Part(part))).await?;
+                    }
                     None => return out.send(reply(Kind::End(std::mem::take(&mut parts.end)))).await,
                 }
             }

@@ -291,6 +291,11 @@ impl Uploads {
             .collect()
     }
 
+    /// How many uploads are not committed yet.
+    pub fn count(&self) -> Result<usize> {
+        Ok(self.catalog(|c| c.all())?.len())
+    }
+
     /// Removes uploads that were committed or that nobody touched for too long, rows without a folder, and folders without a
     /// row. Returns how many.
     pub fn sweep(self: &Arc<Self>) -> Result<usize> {

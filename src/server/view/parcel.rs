@@ -4,7 +4,7 @@ use super::difference::Difference;
 use super::set::{Block, BlockKey, Member};
 use crate::base::Result;
 use crate::db::Snapshot;
-use crate::server::model;
+use crate::server::{metrics, model};
 use crate::wire::{MESSAGE_BYTES, v1};
 use bytes::Bytes;
 use std::sync::Arc;
@@ -65,6 +65,7 @@ impl Parcel {
             m.ground = d.ground.as_deref().cloned();
         }
         m.more = self.fill(&mut m)?;
+        metrics::patches_sent("View", m.added.len());
         if !m.more {
             let d = &self.d;
             m.hash = Bytes::copy_from_slice(&d.hash);

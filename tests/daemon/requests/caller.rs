@@ -73,9 +73,7 @@ impl Caller {
             .build()
             .expect("threads can be started");
         let state = Arc::new(State::open(Settings::new(db.path())).expect("the database is sound"));
-        let router = runtime
-            .block_on(async { routes(&state, state.stop.subscribe()) })
-            .expect("the descriptors were made by the build");
+        let router = runtime.block_on(async { routes(&state) });
         Caller { runtime, router, names, bounds, _folder: folder }
     }
 
