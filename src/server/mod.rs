@@ -3,6 +3,7 @@
 //!
 //! - [`State`]: the database as it is now ([`Live`]), the threads that work for it ([`Pools`]);
 //! - `model`: messages become our types, once, at the edge; `status`: our errors become statuses;
+//! - `uploads`: samples as they arrive, until they are committed;
 //! - `grpc`: one file a service of `proto/terraquilt/v1`;
 //! - [`start`]: listens, and stops gracefully.
 
@@ -16,6 +17,7 @@ mod pools;
 mod settings;
 mod state;
 mod status;
+mod uploads;
 
 pub use live::{Arrival, Live};
 pub use pools::{Answer, Pools};
@@ -51,6 +53,7 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let address = listener.local_addr().map_err(io)?;
     let (stop, stopped) = watch::channel(false);
     state.live.follow(stopped.clone());
+    state.uploads.sweep_on(stopped.clone());
     let app = grpc::routes(&state);
     let until = |mut stopped: watch::Receiver<bool>| async move {
         let _ = stopped.wait_for(|s| *s).await;

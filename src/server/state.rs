@@ -1,6 +1,7 @@
 //! What all calls share.
 
 use super::operations::Operations;
+use super::uploads::Uploads;
 use super::{Live, Pools, Settings};
 use crate::base::Result;
 use crate::db::Db;
@@ -12,11 +13,13 @@ pub struct State {
     pub live: Arc<Live>,
     pub pools: Pools,
     pub operations: Operations,
+    pub uploads: Arc<Uploads>,
 }
 
 impl State {
     pub fn open(settings: Settings) -> Result<State> {
         let live = Arc::new(Live::open(Db::open(&settings.db)?)?);
-        Ok(State { live, pools: Pools::new()?, operations: Operations::default(), settings })
+        let uploads = Arc::new(Uploads::new(live.db().clone(), &settings));
+        Ok(State { live, pools: Pools::new()?, operations: Operations::default(), uploads, settings })
     }
 }

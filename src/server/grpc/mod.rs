@@ -1,7 +1,10 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod arrival;
 mod catalog;
+mod files;
 mod heights;
+mod ingest;
 mod outgoing;
 mod query;
 mod report;
@@ -26,6 +29,7 @@ pub fn routes(state: &Arc<State>) -> Router {
     let routes = Routes::new(v1)
         .add_service(catalog::service(state))
         .add_service(heights)
+        .add_service(ingest::service(state))
         .add_service(QueryServer::new(query::QueryService::new(state.clone())));
     routes.into_axum_router()
 }
