@@ -19,6 +19,7 @@ mod points;
 mod question;
 mod reader;
 mod remote;
+mod send;
 mod shading;
 mod tolerance;
 mod upkeep;
