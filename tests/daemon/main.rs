@@ -8,7 +8,11 @@ mod survey;
 
 /// Surveys arrive.
 mod arrivals;
+/// What is in the database, asked over the wire.
+mod catalog;
 /// The server is killed while surveys arrive.
 mod killed;
+/// The command line with `--server`.
+mod remote;
 /// A server starts, answers and stops.
 mod serving;
