@@ -192,8 +192,10 @@ async fn reports_come_line_by_line_and_nobody_need_read_them() {
     // Streams that nobody reads hold no thread: more of them than there are, and the server still answers.
     let mut unread = Vec::new();
     for _ in 0..16 {
-        unread.push(h.c.catalog().boxes(v1::BoxesRequest { at: 0 }).await.unwrap());
-        unread.push(h.c.catalog().report(kind(v1::report_request::Kind::Tree)).await.unwrap());
+        // A connection of its own each time: unread bytes fill the window of a connection.
+        let c = connect(&h.server).await;
+        unread.push(c.catalog().boxes(v1::BoxesRequest { at: 0 }).await.unwrap());
+        unread.push(c.catalog().report(kind(v1::report_request::Kind::Tree)).await.unwrap());
     }
     let answer = tokio::time::timeout(Duration::from_secs(60), catalog::fingerprint(&h.c, 0));
     let found = answer.await.expect("the pool is free").unwrap();

@@ -210,7 +210,10 @@ fn what_cannot_be_asked_of_a_server_is_said_in_a_line() {
     let broken = program(&["boxes", "--server", &cut.to_string()]);
     let message = text(&broken.stderr);
     assert_eq!(broken.status.code(), Some(1), "{message}");
-    assert!(message.lines().count() == 1 && message.contains(&cut.to_string()), "{message}");
+    assert!(
+        message.lines().count() == 1 && message.contains(&format!("{cut}: the connection broke")),
+        "{message}"
+    );
     s.stop();
 }
 
@@ -236,6 +239,8 @@ fn timeless(o: &Output) -> serde_json::Value {
     let mut v: serde_json::Value = serde_json::from_slice(&o.stdout).unwrap();
     if let Some(v) = v.as_object_mut() {
         v.remove("seconds");
+        // Records of versions hold the ids of their operations, which are random here.
+        v.remove("bytes_freed");
     }
     v
 }
