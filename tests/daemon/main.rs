@@ -4,6 +4,8 @@
 /// Databases, servers and clients for these tests.
 mod support;
 
+/// Commits as they happen, and where.
+mod commits;
 /// A database of Mount St. Helens.
 mod hills;
 

@@ -2,9 +2,11 @@
 
 mod heights;
 mod outgoing;
+mod watch;
 
 use super::State;
 use crate::wire::v1::heights_server::HeightsServer;
+use crate::wire::v1::watch_server::WatchServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
@@ -19,6 +21,7 @@ pub fn routes(state: &Arc<State>) -> Router {
     let heights = HeightsServer::new(heights::HeightsService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
-    let routes = Routes::new(v1).add_service(heights);
+    let watch = WatchServer::new(watch::WatchService::new(state.clone()));
+    let routes = Routes::new(v1).add_service(heights).add_service(watch);
     routes.into_axum_router()
 }
