@@ -6,17 +6,20 @@
 //! ```
 
 use super::awaiting::AWAITING;
+use super::payload::Payloads;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::LatticeUnit;
+use crate::height::lod::SurveyNumber;
 use crate::height::patch::Kind;
 use crate::store::catalog::{Catalog, Contents, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
 use crate::store::lock::Lease;
 use crate::store::segment::Files;
 use std::collections::BTreeMap;
+use std::ops::RangeBounds;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -72,6 +75,7 @@ pub struct Db {
     policy: Policy,
     kind: Kind,
     unit: LatticeUnit,
+    payloads: Arc<Payloads>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -300,6 +304,7 @@ impl Db {
             policy,
             kind,
             unit: LatticeUnit { exponent },
+            payloads: Arc::new(Payloads::new()),
         })
     }
 
@@ -355,6 +360,7 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: lease.map(Arc::new),
         })
     }
@@ -410,6 +416,8 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
+    /// Shared by all snapshots of a database.
+    pub(super) payloads: Arc<Payloads>,
     _lease: Option<Arc<Lease>>,
 }
 
@@ -443,6 +451,7 @@ impl Snapshot {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: self._lease.clone(),
         }
     }
@@ -458,6 +467,14 @@ impl Snapshot {
     pub fn entries(&self) -> impl Iterator<Item = &super::root::SurveyEntry> {
         use super::view::Tables;
         self.view.entries().values()
+    }
+    /// Surveys whose numbers are in a range, by number.
+    pub fn entries_in(
+        &self,
+        range: impl RangeBounds<SurveyNumber>,
+    ) -> impl Iterator<Item = &super::root::SurveyEntry> {
+        use super::view::Tables;
+        self.view.entries().range(range).map(|(_, e)| e)
     }
     /// Head of a survey: declaration and tiles.
     pub fn head(&self, n: crate::height::lod::SurveyNumber) -> Result<Arc<super::head::Head>> {

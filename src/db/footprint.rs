@@ -103,7 +103,7 @@ impl Walk<'_> {
         });
         for k in 0..4 {
             let below = child_cell(cell, k);
-            let mut here = |met: &mut Vec<Met>| -> Vec<Met> {
+            let here = |met: &mut Vec<Met>| -> Vec<Met> {
                 met.extract_if(.., |(_, b)| cell_holds(&below, middle(b))).collect()
             };
             let open = [here(&mut old), here(&mut new)];

@@ -3,9 +3,11 @@
 //!
 //! - [`State`]: the database as it is now ([`Live`]), the threads that work for it ([`Pools`]);
 //! - `model`: messages become our types, once, at the edge; `status`: our errors become statuses;
+//! - `uploads`: samples as they arrive, until they are committed;
 //! - `grpc`: one file a service of `proto/terraquilt/v1`;
 //! - [`start`]: listens, and stops gracefully.
 
+mod answer;
 pub mod command;
 mod grpc;
 mod live;
@@ -15,6 +17,7 @@ mod pools;
 mod settings;
 mod state;
 mod status;
+mod uploads;
 
 pub use live::{Arrival, Live};
 pub use pools::{Answer, Pools};
@@ -51,6 +54,7 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let stop = state.stop.clone();
     let stopped = stop.subscribe();
     state.live.follow(stopped.clone());
+    state.uploads.sweep_on(stopped.clone());
     let app = grpc::routes(&state);
     let until = |mut stopped: watch::Receiver<bool>| async move {
         let _ = stopped.wait_for(|s| *s).await;

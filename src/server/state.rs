@@ -1,6 +1,7 @@
 //! What all calls share.
 
 use super::operations::Operations;
+use super::uploads::Uploads;
 use super::{Live, Pools, Settings};
 use crate::base::Result;
 use crate::db::Db;
@@ -15,16 +16,19 @@ pub struct State {
     pub operations: Operations,
     /// True when the server stops: streams that would go on for ever end then.
     pub stop: watch::Sender<bool>,
+    pub uploads: Arc<Uploads>,
 }
 
 impl State {
     pub fn open(settings: Settings) -> Result<State> {
         let live = Arc::new(Live::open(Db::open(&settings.db)?)?);
+        let uploads = Arc::new(Uploads::new(live.db().clone(), &settings));
         Ok(State {
             live,
             pools: Pools::new()?,
             operations: Operations::default(),
             stop: watch::Sender::new(false),
+            uploads,
             settings,
         })
     }

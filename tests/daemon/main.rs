@@ -3,6 +3,8 @@
 
 /// Databases, servers and clients for these tests.
 mod support;
+/// Surveys as uploads.
+mod survey;
 
 /// Commits as they happen, and where.
 mod commits;
@@ -11,5 +13,10 @@ mod hills;
 
 /// Points, lines and rasters from a server are those of the database, bit for bit.
 mod heights;
+
+/// Surveys arrive.
+mod arrivals;
+/// The server is killed while surveys arrive.
+mod killed;
 /// A server starts, answers and stops.
 mod serving;

@@ -1,11 +1,18 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod arrival;
+mod catalog;
+mod files;
 mod heights;
+mod ingest;
 mod outgoing;
+mod query;
+mod report;
 mod watch;
 
 use super::State;
 use crate::wire::v1::heights_server::HeightsServer;
+use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::watch_server::WatchServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
@@ -21,7 +28,11 @@ pub fn routes(state: &Arc<State>) -> Router {
     let heights = HeightsServer::new(heights::HeightsService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
-    let watch = WatchServer::new(watch::WatchService::new(state.clone()));
-    let routes = Routes::new(v1).add_service(heights).add_service(watch);
+    let routes = Routes::new(v1)
+        .add_service(catalog::service(state))
+        .add_service(heights)
+        .add_service(ingest::service(state))
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
+        .add_service(WatchServer::new(watch::WatchService::new(state.clone())));
     routes.into_axum_router()
 }
