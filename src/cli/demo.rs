@@ -1,15 +1,13 @@
 //! `demo`: the whole story on real surveys of Mount St. Helens that are part of the program.
 
-use super::export::png;
+use super::export::write_file;
 use super::ingest::carry_out;
-use super::mesh::glb;
 use super::output::{Output, bytes, count};
-use super::place::Place;
-use super::shading::Raster;
 use crate::base::date::Date;
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, limits};
 use crate::db::query::{Area, Query, Tolerance, difference};
-use crate::db::{self, Change, Db, Ingest, Options, Policy};
+use crate::db::{self, Change, Db, Ingest, Options, Policy, Snapshot};
+use crate::export::{FileRequest, Form, Packing, Place, Written, write_surface};
 use crate::format;
 use crate::height::crs::Crs;
 use crate::height::lod::cut::Camera;
@@ -83,6 +81,14 @@ fn ingest(db: &Db, folder: &Path, b: &Bundled) -> Result<db::Outcome> {
         lattice: None,
     };
     carry_out(db, Change::Ingest(request), None, false)
+}
+
+/// Draws a region into a file.
+fn draw(s: &Snapshot, form: Form, query: Query, path: &Path) -> Result<Written> {
+    let place = Place { area: query.area.clone(), bounds: query.area.bounds(), ..Place::default() };
+    let (step, packing) = (None, Packing::default());
+    let request = FileRequest { form, place, query, step, packing, pixels_max: limits::RASTER_POSTS_MAX };
+    write_file(path, |out, going| write_surface(out, s, &request, going))
 }
 
 impl Demo {
@@ -159,25 +165,25 @@ impl Demo {
 
         out.line("\nDrawn:")?;
         let now = db.snapshot(None)?;
-        let place = Place::default();
-        let raster = Raster::new(&now, &place, None, 1400)?;
         let picture = dir.join("helens-2004.png");
         let bent = How { blend: Blend::Exact, seams: Seams::All };
-        png(&now, &Query { how: bent, ..uniform(2.0) }, &raster, &picture)?;
+        draw(&now, Form::Png, Query { how: bent, ..uniform(2.0) }, &picture)?;
         out.line(format!(
             "  {}   shaded relief at 2 m error; red: small patches, blue: large ones",
             picture.display()
         ))?;
         let mesh = dir.join("dome-2004.glb");
-        let m = glb(&now, &Query { area: Area::Box(DOME_BOX), ..uniform(4.0) }, &mesh)?;
-        out.line(format!(
-            "  {}   {} triangles, error {:.2} m (surface {:.2} certified + mesh {:.2} measured)",
-            mesh.display(),
-            count(m.triangles),
-            m.error_m,
-            m.surface_error_m,
-            m.mesh_error_m
-        ))?;
+        let query = Query { area: Area::Box(DOME_BOX), ..uniform(4.0) };
+        if let Written::Mesh(m) = draw(&now, Form::Glb, query, &mesh)? {
+            out.line(format!(
+                "  {}   {} triangles, error {:.2} m (surface {:.2} certified + mesh {:.2} measured)",
+                mesh.display(),
+                count(m.triangles),
+                m.error_m,
+                m.surface_error_m,
+                m.mesh_error_m
+            ))?;
+        }
         let info = db::info(&db, &now)?;
         out.line(format!(
             "  {}   the database: {}, {} versions",

@@ -20,7 +20,6 @@ mod question;
 mod reader;
 mod remote;
 mod send;
-mod shading;
 mod tolerance;
 mod upkeep;
 

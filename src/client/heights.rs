@@ -4,7 +4,6 @@ use super::Connection;
 use crate::base::{Error, Result};
 use crate::height::surface::Evaluation;
 use crate::wire::v1;
-use std::collections::VecDeque;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Streaming};
@@ -59,11 +58,9 @@ pub async fn asked(
 ) -> Result<Heights> {
     let (sender, receiver) = mpsc::channel(IN_FLIGHT);
     let first = v1::PointsRequest { header: Some(header), points: Default::default() };
-    let mut messages: VecDeque<v1::PointsRequest> = points
-        .chunks(POINTS_A_MESSAGE)
-        .map(|c| v1::PointsRequest { header: None, points: packed(c).into() })
-        .collect();
-    messages.push_front(first);
+    let rest =
+        points.chunks(POINTS_A_MESSAGE).map(|c| v1::PointsRequest { header: None, points: packed(c).into() });
+    let messages = std::iter::once(first).chain(rest);
     let send = async move {
         for m in messages {
             // The server has ended the call: its status says why.

@@ -2,7 +2,7 @@
 //!
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
 //! - [`catalog`]: what is in the database, changes without samples; [`patches`]: what a region needs
-//! - [`heights`]: points, lines and rasters;
+//! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen;
 //! - [`ingest`]: sends surveys.
 
 pub mod catalog;
@@ -10,5 +10,6 @@ mod connection;
 pub mod heights;
 pub mod ingest;
 pub mod patches;
+pub mod watch;
 
 pub use connection::{Address, Bearer, Connection, Wire, failed};

@@ -51,7 +51,8 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let io = |e| Error::invalid(format!("address {listen}"), e);
     let listener = TcpListener::bind(listen).await.map_err(io)?;
     let address = listener.local_addr().map_err(io)?;
-    let (stop, stopped) = watch::channel(false);
+    let stop = state.stop.clone();
+    let stopped = stop.subscribe();
     state.live.follow(stopped.clone());
     state.uploads.sweep_on(stopped.clone());
     let app = grpc::routes(&state);
@@ -70,7 +71,7 @@ impl Running {
 
     /// Takes no more connections, lets calls that are under way end, and returns.
     pub async fn stop(self) -> Result<()> {
-        let _ = self.stop.send(true);
+        self.stop.send_replace(true);
         self.done
             .await
             .map_err(|e| Error::invalid("server", e))?

@@ -6,6 +6,7 @@ use super::{Live, Pools, Settings};
 use crate::base::Result;
 use crate::db::Db;
 use std::sync::Arc;
+use tokio::sync::watch;
 
 /// What all calls share.
 pub struct State {
@@ -13,6 +14,8 @@ pub struct State {
     pub live: Arc<Live>,
     pub pools: Pools,
     pub operations: Operations,
+    /// True when the server stops: streams that would go on for ever end then.
+    pub stop: watch::Sender<bool>,
     pub uploads: Arc<Uploads>,
 }
 
@@ -20,6 +23,13 @@ impl State {
     pub fn open(settings: Settings) -> Result<State> {
         let live = Arc::new(Live::open(Db::open(&settings.db)?)?);
         let uploads = Arc::new(Uploads::new(live.db().clone(), &settings));
-        Ok(State { live, pools: Pools::new()?, operations: Operations::default(), uploads, settings })
+        Ok(State {
+            live,
+            pools: Pools::new()?,
+            operations: Operations::default(),
+            stop: watch::Sender::new(false),
+            uploads,
+            settings,
+        })
     }
 }

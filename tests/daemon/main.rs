@@ -6,6 +6,14 @@ mod support;
 /// Surveys as uploads.
 mod survey;
 
+/// Commits as they happen, and where.
+mod commits;
+/// A database of Mount St. Helens.
+mod hills;
+
+/// Points, lines and rasters from a server are those of the database, bit for bit.
+mod heights;
+
 /// Surveys arrive.
 mod arrivals;
 /// What is in the database, asked over the wire.

@@ -8,10 +8,12 @@ mod ingest;
 mod outgoing;
 mod query;
 mod report;
+mod watch;
 
 use super::State;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
+use crate::wire::v1::watch_server::WatchServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
@@ -30,6 +32,7 @@ pub fn routes(state: &Arc<State>) -> Router {
         .add_service(catalog::service(state))
         .add_service(heights)
         .add_service(ingest::service(state))
-        .add_service(QueryServer::new(query::QueryService::new(state.clone())));
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
+        .add_service(WatchServer::new(watch::WatchService::new(state.clone())));
     routes.into_axum_router()
 }
