@@ -12,6 +12,7 @@
 //! - [`codec`]: what travels between servers and clients, packed
 //! - [`db`]: the junction: ingest, query, verify
 //! - [`analysis`]: profiles, contours, volumes: answers computed from the surface
+//! - [`export`]: files made of the surface
 //! - [`format`]: other people's formats
 //! - [`cli`]: the command line
 //! - [`server`], [`client`]: the daemon and those who ask it, over [`wire`]
@@ -24,6 +25,7 @@ pub mod client;
 pub mod codec;
 pub mod db;
 pub mod demo;
+pub mod export;
 pub mod format;
 pub mod height;
 pub mod mesh;

@@ -1,12 +1,13 @@
 //! Arguments that several commands share: database, version, region, tolerance.
 
 use super::output::message;
-use super::place::{Coords, Place};
+use super::place::{place_of_file, told};
 use super::reader::Reader;
 use super::tolerance::read_raster;
 use crate::analysis::Ground;
 use crate::base::{Error, Result};
 use crate::db::query::{Query, Tolerance};
+use crate::export::{Coords, Place};
 use crate::height::lod::cut::{Camera, Foci, Focus};
 use crate::height::surface::{Blend, How, Seams};
 use clap::{Args, ValueEnum};
@@ -55,7 +56,7 @@ pub struct CoordsArg {
 
 impl CoordsArg {
     pub fn get(&self, s: &dyn Ground) -> Result<Option<Coords>> {
-        Coords::of(self.coords.as_deref(), s.crs())
+        Ok(told(Coords::of(self.coords.as_deref(), s.crs())?))
     }
 }
 
@@ -63,7 +64,7 @@ impl Region {
     pub fn place(&self, s: &dyn Ground) -> Result<Place> {
         let coords = self.coords.get(s)?;
         if let Some(path) = &self.polygon {
-            return Place::of_file(path, coords, s.crs(), s.bounds());
+            return place_of_file(path, coords, s.crs(), s.bounds());
         }
         let Some(text) = &self.bbox else { return Ok(Place::everywhere(coords, s.bounds())) };
         let b: [f64; 4] = numbers("--bbox", text)?;

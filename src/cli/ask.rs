@@ -2,12 +2,12 @@
 
 use super::args::{CoordsArg, Region, Source, ToleranceArgs, numbers};
 use super::output::{Output, count, message, table};
-use super::place::whereabouts;
 use super::points::{Points, quoted, read_points};
 use super::reader::{Needed, Reader};
 use crate::analysis::{Ground, Posts};
 use crate::base::{Error, Result};
 use crate::db::query::{difference, set_hash};
+use crate::export::whereabouts;
 use crate::height::lod::SurveyNumber;
 use crate::height::surface::{Evaluation, Seams};
 use crate::store::quadtree::Record;

@@ -1,25 +1,16 @@
 //! `export`: the surface as GLB, GeoTIFF or PNG; a survey's own samples, bit for bit.
 
 use super::args::{Region, Source, ToleranceArgs, numbers};
-use super::mesh::{Packing, packed_glb};
-use super::output::{Meter, Output, bytes, count, message};
-use super::place::{Place, whereabouts};
+use super::mesh::{self, Packing};
+use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::reader::Reader;
-use super::shading::Raster;
-use crate::base::{Error, Result};
-use crate::db::Delivered;
-use crate::db::query::Query;
-use crate::db::{self, Snapshot};
-use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
-use crate::format::relief::{Relief, write_relief};
-use crate::height::crs::Crs;
-use crate::height::source::{Affine, SampleType};
-use crate::height::surface::Seams;
+use crate::base::{Error, Result, limits};
+use crate::export::{FileRequest, Form, Going, Written, write_samples, write_surface};
 use clap::Args;
-use serde_json::json;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 /// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief
 #[derive(Args)]
@@ -63,9 +54,6 @@ struct OptionalTolerance {
     inner: ToleranceArgs,
 }
 
-/// Pixels along the longer side of a picture.
-const PICTURE_SIDE: usize = 1600;
-
 impl Export {
     pub fn run(self) -> Result<bool> {
         let source = Source { db: self.db.clone(), at: self.at, json: self.json };
@@ -79,8 +67,8 @@ impl Export {
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         if let Some(name) = &self.survey {
-            self.packing.only_for_glb(&ending)?;
-            if ending != "tif" && ending != "tiff" {
+            self.packing().only_for_glb(&ending)?;
+            if Form::of_ending(&ending) != Some(Form::GeoTiff) {
                 return Err(Error::invalid(
                     "--survey",
                     "a survey's samples are written as .tif; name such a file",
@@ -95,93 +83,38 @@ impl Export {
                     "note: with --survey the samples are written as delivered; tolerance, region, --coords and --step are not used",
                 );
             }
-            let (posts, masked) = survey(&s, name, self.tile.as_deref(), &self.out)?;
-            if masked > 0 {
-                message(&format!(
-                    "note: {} posts were void by a mask in the delivered file; their samples are written as they were, the \
-                     mask is not, so another program will take them for heights",
-                    count(masked)
-                ));
-            }
-            return self.told(
-                &json!({"out": self.out, "posts": posts, "masked_posts": masked}),
-                &format!("{} posts as delivered", count(posts)),
-            );
+            let tile = self.tile.as_deref();
+            let written = write_file(&self.out, |out, going| write_samples(out, &s, name, tile, going))?;
+            return self.told(written, None);
         }
         let place = self.region.place(&*s)?;
-        self.packing.only_for_glb(&ending)?;
-        let looked_at = ending == "glb" || ending == "png";
-        let seams = if looked_at { Seams::All } else { Seams::Off };
-        let query = self.tolerance.inner.query(&place, &*s, seams)?;
-        if s.select(&query)?.records.is_empty() {
-            let reason =
-                format!("holds no data; {}", whereabouts(s.crs(), s.bounds(), place.coords.as_ref()));
-            return Err(Error::invalid("region", reason));
-        }
-        self.write(&s, &place, &query, &ending)
-    }
-
-    fn write(&self, s: &Snapshot, place: &Place, query: &Query, ending: &str) -> Result<bool> {
-        match ending {
-            "glb" => {
-                let m = packed_glb(s, query, &self.out, self.packing)?;
-                let text = m.text();
-                if let crate::db::query::Tolerance::Constant(asked) = query.tolerance
-                    && m.error_m > asked
-                {
-                    message(&format!(
-                        "note: the surface alone has {:.3} m there ({}); with the mesh's {:.3} m that is more than the {asked} m asked",
-                        m.surface_error_m,
-                        if m.correction_m > 0.0 {
-                            "the accuracy of its surveys, and what is bent where they disagree: --seams off keeps them apart"
-                        } else {
-                            "the accuracy of its surveys"
-                        },
-                        m.mesh_error_m
-                    ));
-                }
-                if let Some(used) = m.tolerance_used.filter(|u| *u > 1.0) {
-                    let bent = if m.correction_m > 0.0 {
-                        ", or are bent where they disagree (--seams off keeps them apart)"
-                    } else {
-                        ""
-                    };
-                    message(&format!(
-                        "note: somewhere the surveys are less accurate than was asked{bent}: surface and mesh need {used:.2} times \
-                         the tolerance there"
-                    ));
-                }
-                self.told(&m, &text)
-            }
-            "tif" | "tiff" => {
-                let raster = match self.step()? {
-                    None => Raster::as_fine_as_posts(s, place)?,
-                    step => Raster::new(s, place, step, PICTURE_SIDE)?,
-                };
-                let error = tif(s, query, &raster, &self.out)?;
-                self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": query.how.seams.name()}),
-                    &format!("{} x {} posts, error {error:.3} m", raster.cols, raster.rows),
-                )
-            }
-            "png" => {
-                let raster = Raster::new(s, place, self.step()?, PICTURE_SIDE)?;
-                let error = png(s, query, &raster, &self.out)?;
-                self.told(
-                    &json!({"out": self.out, "cols": raster.cols, "rows": raster.rows, "error_m": error, "seams": query.how.seams.name()}),
-                    &format!("{} x {} pixels, coloured by patch size", raster.cols, raster.rows),
-                )
-            }
-            other => Err(Error::unsupported(
+        self.packing().only_for_glb(&ending)?;
+        let form = Form::of_ending(&ending).ok_or_else(|| {
+            Error::unsupported(
                 self.out.display(),
-                if other.is_empty() {
+                if ending.is_empty() {
                     "has no ending that names a format".to_string()
                 } else {
-                    format!("ending '.{other}' is no format that is written")
+                    format!("ending '.{ending}' is no format that is written")
                 },
                 "name a .glb, .tif or .png file",
-            )),
-        }
+            )
+        })?;
+        let query = self.tolerance.inner.query(&place, &*s, form.seams())?;
+        let request = FileRequest {
+            form,
+            place,
+            query,
+            step: self.step()?,
+            packing: self.packing(),
+            pixels_max: limits::RASTER_POSTS_MAX,
+        };
+        let written = write_file(&self.out, |out, going| write_surface(out, &s, &request, going))?;
+        self.told(written, Some(&request))
+    }
+
+    fn packing(&self) -> crate::export::Packing {
+        crate::export::Packing { quantize: self.packing.quantize, meshopt: self.packing.meshopt }
     }
 
     fn step(&self) -> Result<Option<[f64; 2]>> {
@@ -198,16 +131,56 @@ impl Export {
         Ok(Some(found))
     }
 
-    fn told(&self, value: &impl serde::Serialize, text: &str) -> Result<bool> {
+    fn told(&self, written: Written, request: Option<&FileRequest>) -> Result<bool> {
+        written
+            .notes(request.map(|r| &r.query.tolerance))
+            .iter()
+            .for_each(|n| message(&format!("note: {n}")));
         let mut out = Output::new();
         if self.json {
-            out.json(value)?;
-        } else {
-            let size = std::fs::metadata(&self.out).map_or(0, |m| m.len());
-            out.line(format!("{}: {text}, {}", self.out.display(), bytes(size)))?;
+            out.json(&Told { out: &self.out, written: &written })?;
+            return out.end();
         }
+        let size = std::fs::metadata(&self.out).map_or(0, |m| m.len());
+        let text = match &written {
+            Written::Mesh(m) => mesh::text(m),
+            Written::Samples { posts, .. } => format!("{} posts as delivered", count(*posts)),
+            Written::Raster { cols, rows, error_m, .. } => match request.map(|r| r.form) {
+                Some(Form::Png) => format!("{cols} x {rows} pixels, coloured by patch size"),
+                _ => format!("{cols} x {rows} posts, error {error_m:.3} m"),
+            },
+        };
+        out.line(format!("{}: {text}, {}", self.out.display(), bytes(size)))?;
         out.end()
     }
+}
+
+/// What is said of a file as JSON.
+#[derive(serde::Serialize)]
+struct Told<'a> {
+    out: &'a Path,
+    #[serde(flatten)]
+    written: &'a Written,
+}
+
+/// Writes a file as a whole, with a bar; Ctrl-C stops it.
+pub fn write_file(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>, Going) -> Result<Written>,
+) -> Result<Written> {
+    let (meter, stop) = (Meter::new(), stop_flag());
+    let mut written = None;
+    let done = write_whole(path, |p| {
+        let mut out = BufWriter::new(File::create(p).map_err(|e| Error::io(p, e))?);
+        written = Some(write(&mut out, &|stage, share| {
+            meter.report(stage, share);
+            !stop.load(Ordering::Relaxed)
+        })?);
+        out.flush().map_err(|e| Error::io(p, e))
+    });
+    meter.clear();
+    done?;
+    written.ok_or_else(|| Error::invalid(path.display(), "was not written"))
 }
 
 /// Writes a file under a temporary name beside it and renames it: never half a file.
@@ -227,142 +200,4 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Resu
         let _ = std::fs::remove_file(&temporary);
     }
     done
-}
-
-pub(super) fn create(path: &Path) -> Result<BufWriter<File>> {
-    Ok(BufWriter::new(File::create(path).map_err(|e| Error::io(path, e))?))
-}
-
-/// The patch sizes drawn red and blue (log2 of metres): those in the picture, at least four octaves apart, so that sizes
-/// that hardly differ are not drawn as if they did.
-fn class_range(class: &[f32]) -> [f32; 2] {
-    let found = class.iter().filter(|c| !c.is_nan());
-    let (lo, hi) = found.fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), c| (a.min(*c), b.max(*c)));
-    if !lo.is_finite() {
-        return [0.0, 4.0];
-    }
-    let (middle, half) = ((lo + hi) / 2.0, ((hi - lo) / 2.0).max(2.0));
-    [middle - half, middle + half]
-}
-
-fn no_data() -> Error {
-    Error::invalid("region", "holds no data; `terraquilt surveys` shows where the surveys are")
-}
-
-fn tif(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64> {
-    let [sx, sy] = raster.step();
-    let spec = GeoTiffSpec {
-        cols: raster.cols as u64,
-        rows: raster.rows as u64,
-        sample_type: SampleType::F32,
-        affine: Some(Affine { origin: raster.center(0, 0), col_step: [sx, 0.0], row_step: [0.0, -sy] }),
-        crs: Some(raster.crs(s).clone()),
-        nodata: Some("nan".into()),
-        scale: 1.0,
-        offset: 0.0,
-        vertical_datum: db::vertical_datum(s)?,
-    };
-    let mut error = 0.0;
-    let meter = Meter::new();
-    write_whole(path, |p| {
-        let mut out = GeoTiffWriter::create(p, spec)?;
-        let mut any = false;
-        error = raster.heights(s, query, |row, _, z| {
-            meter.report("heights", row as f64 / raster.rows as f64);
-            let data: Vec<u8> = z.iter().flat_map(|v| v.to_le_bytes()).collect();
-            any |= z.iter().any(|v| !v.is_nan());
-            out.write_rows(row as u64, &data)
-        })?;
-        if !any {
-            return Err(no_data());
-        }
-        out.finish().map(|_| ())
-    })?;
-    meter.clear();
-    Ok(error)
-}
-
-/// Writes a shaded relief coloured by patch size.
-pub fn png(s: &Snapshot, query: &Query, raster: &Raster, path: &Path) -> Result<f64> {
-    let mut z = Vec::with_capacity(raster.cols * raster.rows);
-    let meter = Meter::new();
-    let error = raster.heights(s, query, |row, _, band| {
-        meter.report("heights", row as f64 / raster.rows as f64);
-        z.extend_from_slice(band);
-        Ok(())
-    })?;
-    if z.iter().all(|v| v.is_nan()) {
-        return Err(no_data());
-    }
-    let class = raster.patch_sizes(s, query)?;
-    let range = class_range(&class);
-    meter.clear();
-    write_whole(path, |p| {
-        let mut out = create(p)?;
-        let relief = Relief {
-            cols: raster.cols,
-            rows: raster.rows,
-            z: &z,
-            cell_m: raster.cell_m(s),
-            class: Some(&class),
-            class_range: Some(range),
-        };
-        write_relief(&mut out, &relief)?;
-        out.flush().map_err(|e| Error::io(p, e))
-    })?;
-    Ok(error)
-}
-
-/// A survey's tile, as it was delivered. Returns its posts, and how many were void only by a mask.
-fn survey(s: &Snapshot, name: &str, tile: Option<&str>, path: &Path) -> Result<(u64, u64)> {
-    let entry = s.survey(name)?;
-    let head = s.head(entry.number)?;
-    let index = match tile {
-        Some(t) => head
-            .tiles
-            .iter()
-            .position(|x| x.file == t || (t.len() >= 4 && x.id().starts_with(t)))
-            .ok_or_else(|| {
-                Error::missing(format!("tile '{t}' of survey '{name}'"), "see `terraquilt tiles`")
-            })?,
-        None if head.tiles.len() == 1 => 0,
-        None => {
-            return Err(Error::invalid(
-                "--tile",
-                format!(
-                    "survey '{name}' has {} tiles; say which with --tile (see `terraquilt tiles`)",
-                    head.tiles.len()
-                ),
-            ));
-        }
-    };
-    let raw = db::read_tile(s, entry.number, index)?;
-    let nodata = raw.tile.nodata.map(|v| if v.is_nan() { "nan".to_string() } else { format!("{v}") });
-    let Delivered { sample_type, scale, offset } = raw.declaration.delivered();
-    let spec = GeoTiffSpec {
-        cols: raw.cols() as u64,
-        rows: raw.rows() as u64,
-        sample_type,
-        affine: Some(raw.tile.affine),
-        crs: Some(Crs::parse(raw.declaration.delivered_crs())?),
-        nodata,
-        scale,
-        offset,
-        vertical_datum: raw.declaration.vertical_datum.clone(),
-    };
-    let mut masked = 0;
-    write_whole(path, |p| {
-        let mut out = GeoTiffWriter::create(p, spec)?;
-        raw.bands(|first, _, samples, valid| {
-            for (v, sample) in valid.iter().zip(samples.chunks_exact(sample_type.bytes())) {
-                let value = sample_type.value(sample);
-                let says_so = !value.is_finite()
-                    || raw.tile.nodata.is_some_and(|n| n == value || (n as f32) as f64 == value);
-                masked += u64::from(*v == 0 && !says_so);
-            }
-            out.write_rows(first as u64, samples)
-        })?;
-        out.finish().map(|_| ())
-    })?;
-    Ok(((raw.cols() * raw.rows()) as u64, masked))
 }

@@ -3,6 +3,7 @@
 use super::args::numbers;
 use super::line::{Line, operation, server};
 use super::output::{Meter, Output, count, message, stop_flag};
+use super::send::{Call, send};
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::client::catalog;
@@ -220,6 +221,18 @@ impl Said {
         Ok(Box::new(Lifted::new(source, &crs, unit_m, geoid, lift)?))
     }
 
+    /// Brings the files to a server.
+    fn send(&self, server: &str, request: db::Ingest, replace: Option<&str>) -> Result<bool> {
+        let line = Line::open(server)?;
+        let call = Call {
+            replace,
+            datum_shift: self.datum_shift.as_deref(),
+            operation: operation(self.operation.as_deref(), "ingest")?,
+            dry_run: self.dry_run,
+        };
+        tell(&send(&line, request, call)?, self.json, self.dry_run)
+    }
+
     fn carry_out(&self, db: &Db, change: Change) -> Result<bool> {
         let outcome = carry_out(db, change, self.operation.as_deref(), self.dry_run)?;
         tell(&outcome, self.json, self.dry_run)
@@ -328,6 +341,10 @@ pub struct IngestFiles {
 impl IngestFiles {
     pub fn run(self) -> Result<bool> {
         let mut request = self.said.request(&self.files)?;
+        if let Some(server) = server(&self.db) {
+            (request.name, request.into) = (self.name, self.into);
+            return self.said.send(server, request, None);
+        }
         let awaited = Awaiting::read(&self.db)?;
         let first = awaited.is_some();
         let db = match awaited {
@@ -370,6 +387,9 @@ pub struct Replace {
 
 impl Replace {
     pub fn run(self) -> Result<bool> {
+        if let Some(server) = server(&self.db) {
+            return self.said.send(server, self.said.request(&self.files)?, Some(&self.survey));
+        }
         let db = Db::open(&self.db)?;
         let ingest = self.said.request(&self.files)?;
         self.said.carry_out(&db, Change::Replace { survey: self.survey.clone(), ingest })

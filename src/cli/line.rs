@@ -16,7 +16,7 @@ use tokio::runtime::{Builder, Runtime};
 const ASK_EVERY: Duration = Duration::from_millis(500);
 const STOP_WITHIN: Duration = Duration::from_millis(50);
 
-/// Which server, and who asks.
+// Which server, and who asks. (A doc comment here would become the help of every command.)
 #[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Server")]
 pub struct Login {

@@ -6,7 +6,7 @@ use super::reader::{Commit, Maker, Needed};
 use crate::analysis::{Ground, Posts};
 use crate::base::lattice::Point;
 use crate::base::{Error, Result};
-use crate::client::{catalog, heights, patches};
+use crate::client::{catalog, heights};
 use crate::db::query::{Query, Tolerance};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::{CellRect, Frame, LatticeUnit};

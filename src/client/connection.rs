@@ -138,9 +138,11 @@ impl Connection {
 
 /// A status as an error of the server that sent it.
 pub fn failed(server: &str, status: Status) -> Error {
-    let message = match status.message() {
-        "" => format!("{:?}", status.code()),
-        m => m.to_string(),
+    // What a server says has no cause of its own; what the connection met has.
+    let message = match (status.message(), std::error::Error::source(&status)) {
+        ("", _) => format!("{:?}", status.code()),
+        (m, Some(_)) => format!("the connection broke ({m}); is the server still running? Ask again"),
+        (m, None) => m.to_string(),
     };
     Error::Remote { server: server.to_string(), message }
 }

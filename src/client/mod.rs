@@ -3,7 +3,7 @@
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
 //! - [`catalog`]: what is in the database, changes without samples; [`query`]: patches, differences;
 //! - [`ingest`]: sends surveys;
-//! - [`heights`]: points, lines and rasters;
+//! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen;
 //! - [`view`]: a view that the server keeps in step.
 
 pub mod catalog;
@@ -12,5 +12,6 @@ pub mod heights;
 pub mod ingest;
 pub mod query;
 pub mod view;
+pub mod watch;
 
 pub use connection::{Address, Bearer, Connection, Wire, failed};

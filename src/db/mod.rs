@@ -22,6 +22,7 @@ mod declare;
 mod errors;
 mod export;
 mod fingerprint;
+mod footprint;
 mod head;
 mod leave;
 mod levels;
@@ -58,6 +59,7 @@ pub use contradictions::{Contradiction, Overlap};
 pub use database::{Db, Options, Policy, Snapshot};
 pub use export::{OwnPosts, RawTile, own_posts, read_tile};
 pub use fingerprint::fingerprint;
+pub use footprint::Footprint;
 pub use head::{Declaration, Delivered, Head, Resampled, Tile};
 pub use listing::{
     BoxRow, BoxWalk, DeliveredRow, Info, NodeRow, SurveyRow, TileRow, TreeNode, TreeWalk, boxes, info,

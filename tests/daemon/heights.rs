@@ -138,7 +138,7 @@ async fn who_made_a_height() {
             shares += 1;
         }
     }
-    assert!(shares > 600);
+    assert!(shares > 100, "{shares}");
     server.stop().await.unwrap();
 }
 

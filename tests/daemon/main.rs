@@ -11,6 +11,8 @@ mod requests;
 
 /// Surveys arrive.
 mod arrivals;
+/// Commits as they happen, and where.
+mod commits;
 /// A database of Mount St. Helens.
 mod hills;
 /// The server is killed while surveys arrive.
@@ -32,6 +34,10 @@ mod security;
 #[path = "../support/mod.rs"]
 mod worlds;
 
+/// What is in the database, asked over the wire.
+mod catalog;
+/// The command line with `--server`.
+mod remote;
 /// A server starts, answers and stops.
 mod serving;
 

@@ -4,8 +4,8 @@ use crate::analysis::{self, End, Ground, SightOptions, Terrain, Verdict, line_le
 use crate::base::{Error, Result};
 use crate::cli::args::{CoordsArg, Source, ToleranceArgs, numbers};
 use crate::cli::output::Output;
-use crate::cli::place::Coords;
 use crate::db::query::{Area, Query};
+use crate::export::Coords;
 use crate::format::geojson::read_line;
 use crate::height::surface::Seams;
 use clap::Args;

@@ -62,7 +62,7 @@ impl Service {
     async fn commit(&self, change: Change, operation: String, what: &str) -> Reply<v1::CommitReply> {
         let id = if operation.is_empty() { made_id(what)? } else { operation };
         let outcome = operations::commit(&self.0, id.clone(), false, move || Ok(change)).await?;
-        model::commit_reply(outcome, id).map(Response::new).map_err(status)
+        Ok(Response::new(operations::reply(&outcome, &id)))
     }
 }
 

@@ -9,17 +9,18 @@ mod outgoing;
 mod query;
 mod report;
 mod view;
+mod watch;
 
 use super::State;
 use crate::server::tokens::rights;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::view_server::ViewServer;
+use crate::wire::v1::watch_server::WatchServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use tokio::sync::watch;
 use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
@@ -30,6 +31,8 @@ pub fn routes(state: &Arc<State>) -> Router {
     let query = QueryServer::new(query::QueryService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let watch = WatchServer::new(watch::WatchService::new(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX);
     let view =
         ViewServer::new(view::ViewService::new(state.clone())).max_decoding_message_size(MESSAGE_BYTES_MAX);
     let heights = HeightsServer::new(heights::HeightsService(state.clone()))
@@ -44,7 +47,8 @@ pub fn routes(state: &Arc<State>) -> Router {
         .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(query)
-        .add_service(view);
+        .add_service(view)
+        .add_service(watch);
     routes.prepare().into_axum_router()
 }
 
@@ -55,7 +59,7 @@ fn reflection() -> tonic_reflection::server::Builder<'static> {
 }
 
 /// Tells that each service serves, until the server is told to stop.
-async fn report(reporter: HealthReporter, mut stopped: watch::Receiver<bool>) {
+async fn report(reporter: HealthReporter, mut stopped: tokio::sync::watch::Receiver<bool>) {
     let services: BTreeSet<&str> =
         rights::METHODS.iter().filter_map(|m| m.path[1..].split('/').next()).chain([""]).collect();
     for s in &services {

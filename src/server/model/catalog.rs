@@ -1,7 +1,7 @@
 //! What is in a version, as messages.
 
 use crate::base::{Error, Result};
-use crate::db::{Outcome, SurveyEntry, SurveyRow, TileRow};
+use crate::db::{SurveyEntry, SurveyRow, TileRow};
 use crate::wire::v1;
 use serde::Serialize;
 
@@ -51,23 +51,5 @@ pub fn tile(row: &TileRow) -> Result<v1::Tile> {
         valid: row.valid,
         voids: (row.cols.unsigned_abs() * row.rows.unsigned_abs()).saturating_sub(row.valid),
         json: json(row)?,
-    })
-}
-
-/// What a commit did.
-pub fn commit_reply(o: Outcome, operation: String) -> Result<v1::CommitReply> {
-    Ok(v1::CommitReply {
-        json: json(&o)?,
-        version: o.version,
-        changed: o.changed,
-        survey: o.survey,
-        patches: o.patches,
-        live: o.live,
-        dormant: o.dormant,
-        posts: o.posts,
-        voids: o.voids,
-        seconds: o.seconds,
-        warnings: o.warnings,
-        operation,
     })
 }

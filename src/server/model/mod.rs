@@ -8,7 +8,7 @@ mod parts;
 mod question;
 pub mod upload;
 
-pub use catalog::{commit_reply, json, survey, tile};
+pub use catalog::{json, survey, tile};
 pub use looser::looser;
 pub use page::Page;
 pub use parts::{frames, ground, mask, patch, set_hash, survey_frame};

@@ -1,12 +1,16 @@
 //! The surface over a raster: for GeoTIFF and PNG.
 
 use super::place::{Coords, Place};
+use super::{Going, go_on};
 use crate::base::polygon::Polygon;
 use crate::base::{Error, Result, limits};
 use crate::db::query::Query;
 use crate::db::{Snapshot, metres_per_unit};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::lod::{Geometry, KERNEL, MARGIN};
+
+/// Rows that are asked at once.
+const BAND: usize = 64;
 
 /// A raster over a region: posts are pixel centres, the first row is the northernmost.
 pub struct Raster<'a> {
@@ -141,11 +145,12 @@ impl<'a> Raster<'a> {
         &self,
         s: &Snapshot,
         query: &Query,
+        going: Going,
         mut f: impl FnMut(usize, usize, &[f32]) -> Result<()>,
     ) -> Result<f64> {
         let mut error: f64 = 0.0;
-        const BAND: usize = 64;
         for row0 in (0..self.rows).step_by(BAND) {
+            go_on(going, "heights", row0 as f64 / self.rows as f64)?;
             let rows = BAND.min(self.rows - row0);
             let (which, points) = self.points(row0..row0 + rows);
             let found = s.heights(&points, &query.tolerance, query.how)?;
@@ -163,16 +168,19 @@ impl<'a> Raster<'a> {
     }
 
     /// log2 of the side in metres of the patch that weighs most at each pixel; NaN where there is none.
-    pub fn patch_sizes(&self, s: &Snapshot, query: &Query) -> Result<Vec<f32>> {
-        let (which, points) = self.points(0..self.rows);
+    pub fn patch_sizes(&self, s: &Snapshot, query: &Query, going: Going) -> Result<Vec<f32>> {
         let mut out = vec![f32::NAN; self.cols * self.rows];
-        let found = s.dominant(&points, &query.tolerance, query.how)?;
-        for ((k, p), r) in which.into_iter().zip(&points).zip(found) {
-            let Some(r) = r else { continue };
-            let Ok(e) = s.survey_by_number(r.survey) else { continue };
-            let metres = metres_per_unit(s.crs().unit, *p)[0];
-            let cells = ((KERNEL + 2 * MARGIN) << r.place.level) as f64;
-            out[k] = (e.geometry.steps[0] * metres * cells).log2() as f32;
+        for row0 in (0..self.rows).step_by(BAND) {
+            go_on(going, "patches", row0 as f64 / self.rows as f64)?;
+            let (which, points) = self.points(row0..self.rows.min(row0 + BAND));
+            let found = s.dominant(&points, &query.tolerance, query.how)?;
+            for ((k, p), r) in which.into_iter().zip(&points).zip(found) {
+                let Some(r) = r else { continue };
+                let Ok(e) = s.survey_by_number(r.survey) else { continue };
+                let metres = metres_per_unit(s.crs().unit, *p)[0];
+                let cells = ((KERNEL + 2 * MARGIN) << r.place.level) as f64;
+                out[row0 * self.cols + k] = (e.geometry.steps[0] * metres * cells).log2() as f32;
+            }
         }
         Ok(out)
     }

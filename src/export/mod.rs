@@ -1,0 +1,24 @@
+//! Files made of the surface: meshes, rasters, pictures; and the samples of a survey as they were delivered.
+//!
+//! - [`Coords`], [`Place`]: where, in coordinates of the user's choice; [`Raster`]: the surface over a raster
+//! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
+//!   samples, bit for bit; [`Written`]: what there is to say of it
+
+mod file;
+mod mesh;
+mod place;
+mod raster;
+
+pub use file::{FileRequest, Form, Written, write_samples, write_surface};
+pub use mesh::{MeshFound, Packing, write_mesh};
+pub use place::{Coords, Place, whereabouts};
+pub use raster::Raster;
+
+use crate::base::{Error, Result};
+
+/// Told what is done and the share of it; answers whether to go on.
+pub type Going<'a> = &'a dyn Fn(&str, f64) -> bool;
+
+fn go_on(going: Going, stage: &str, share: f64) -> Result<()> {
+    if going(stage, share) { Ok(()) } else { Err(Error::Stopped) }
+}
