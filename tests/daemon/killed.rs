@@ -64,7 +64,7 @@ struct Slow {
 
 impl Rows for Slow {
     fn read(&mut self, grid: usize, row: u64, rows: u64, out: &mut Vec<u8>) -> Result<()> {
-        std::thread::sleep(Duration::from_micros((self.random.unit() * 20e3) as u64));
+        std::thread::sleep(Duration::from_micros((self.random.unit() * 8e3) as u64));
         self.sent.fetch_add(rows, Relaxed);
         self.rows.read(grid, row, rows, out)
     }

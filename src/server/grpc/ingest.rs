@@ -74,11 +74,11 @@ impl Ingest for Service {
         let (uploads, version) = (self.state.uploads.clone(), self.state.live.newest().number());
         let found = blocking(move || uploads.list()).await?;
         let info = |u: Listed| v1::UploadInfo {
-            name: name(&u.header),
-            grids: u.header.grids.len() as u64,
-            rows: u.header.grids.iter().map(|g| g.rows).sum(),
             operation: u.operation,
+            name: u.name,
+            grids: u.grids,
             rows_received: u.rows_received,
+            rows: u.rows,
             touched_at_s: u.touched_at,
             active: u.active,
         };
@@ -109,16 +109,6 @@ where
     Response::new(ReceiverStream::new(replies))
 }
 
-/// What a survey will be called, as far as it is said.
-fn name(h: &v1::UploadHeader) -> String {
-    use v1::upload_header::Target;
-    match &h.target {
-        Some(Target::Into(s) | Target::Replace(s)) => s.clone(),
-        None if !h.name.is_empty() => h.name.clone(),
-        None => h.grids.first().map_or_else(String::new, |g| g.name.clone()),
-    }
-}
-
 /// The next message of an upload; `None`: the stream ended.
 async fn next(
     state: &State,
@@ -135,10 +125,7 @@ async fn next(
         message = timeout(within, requests.message()) => message,
     };
     match message {
-        Err(_) => Err(Status::deadline_exceeded(format!(
-            "nothing new was sent for {} s; what arrived is kept: call again with the same header",
-            state.settings.upload_idle.as_secs_f64()
-        ))),
+        Err(_) => Err(idle(state)),
         Ok(Err(e)) => Err(e),
         Ok(Ok(None)) => Ok(None),
         Ok(Ok(Some(v1::UploadRequest { kind: Some(kind) }))) => Ok(Some(kind)),
@@ -146,6 +133,13 @@ async fn next(
             Err(Status::invalid_argument("a message is neither header, block nor finish; see ingest.proto"))
         }
     }
+}
+
+fn idle(state: &State) -> Status {
+    Status::deadline_exceeded(format!(
+        "nothing new was sent for {} s; what arrived is kept: call again with the same header",
+        state.settings.upload_idle.as_secs_f64()
+    ))
 }
 
 /// Checks a header, and what it says against the newest version. The outcome is there if that holds all samples already, by
@@ -176,6 +170,13 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
     }
     let (said, held) = check(state, header.clone()).await?;
     if let Some(outcome) = held {
+        state.operations.note(v1::OperationStatus {
+            version: outcome.version,
+            share: 1.0,
+            operation: operation.clone(),
+            state: Standing::Done as i32,
+            ..Default::default()
+        });
         return done(told, &operation, operations::reply(&outcome, &operation)).await;
     }
     let (uploads, h, id) = (state.uploads.clone(), header.clone(), operation.clone());
@@ -187,6 +188,10 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
         Claimed::Mine(claim) => claim,
         Claimed::Committing(ending) => return follow(state, &operation, ending, told).await,
     };
+    // Another stream may have ended between the two.
+    if let Some(commit) = known(state, &operation).await? {
+        return done(told, &operation, commit).await;
+    }
     let (uploads, s) = (state.uploads.clone(), said.clone());
     let opened = blocking(move || uploads.open(&claim, &header, &s).map(|staging| (claim, staging)));
     let (claim, staging) = opened.await?;
@@ -196,6 +201,7 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
         ..reply(&operation, Standing::Uploading)
     };
     told.tell(first).await?;
+    note(state, &operation, staging.rows().there() as f64 / said.rows as f64);
 
     let staging = Arc::new(Mutex::new(staging));
     let finish = match blocks(state, requests, told, &said, &staging).await {
@@ -245,6 +251,17 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
     follow(state, &operation, ending, told).await
 }
 
+/// Notes that samples of an operation come in.
+fn note(state: &State, operation: &str, share: f64) {
+    state.operations.note(v1::OperationStatus {
+        operation: operation.to_string(),
+        state: Standing::Uploading as i32,
+        stage: "receiving samples".into(),
+        share,
+        ..Default::default()
+    });
+}
+
 fn hashes(finish: &v1::UploadFinish, grids: usize) -> Result<Vec<Option<[u8; 32]>>> {
     if !finish.hashes.is_empty() && finish.hashes.len() != grids {
         let reason = format!("{} for {grids} grids; give one for each, or none", finish.hashes.len());
@@ -272,15 +289,18 @@ async fn blocks(
     said: &Arc<Said>,
     staging: &Shared,
 ) -> Answer<v1::UploadFinish> {
-    let idle = state.settings.upload_idle;
+    let within = state.settings.upload_idle;
     let (mut heard, mut synced, mut touched) = (Instant::now(), Instant::now(), Instant::now());
     let (mut fresh_bytes, mut there) = (0, 0);
     loop {
+        let left = within.saturating_sub(heard.elapsed());
+        if left.is_zero() {
+            return Err(idle(state));
+        }
         // While the next block is waited for, what is there becomes durable.
-        let until_sync = if fresh_bytes > 0 { SYNC_AFTER.saturating_sub(synced.elapsed()) } else { idle };
-        let left = idle.saturating_sub(heard.elapsed());
+        let until_sync = if fresh_bytes > 0 { SYNC_AFTER.saturating_sub(synced.elapsed()) } else { left };
         match next(state, requests, until_sync.min(left)).await {
-            Err(e) if e.code() == Code::DeadlineExceeded && heard.elapsed() < idle => {}
+            Err(e) if e.code() == Code::DeadlineExceeded => {}
             Err(e) => return Err(e),
             Ok(Some(Kind::Finish(finish))) => return Ok(finish),
             Ok(Some(Kind::Block(block))) => {
@@ -310,6 +330,7 @@ async fn blocks(
             let received = on_disk(staging, Staging::sync).await?;
             (synced, fresh_bytes) = (Instant::now(), 0);
             let share = there as f64 / said.rows as f64;
+            note(state, &said.operation, share);
             told.tell(v1::UploadReply { received, share, ..reply(&said.operation, Standing::Uploading) })
                 .await?;
         }

@@ -89,8 +89,10 @@ pub enum Claimed {
 /// An upload as it is listed.
 pub struct Listed {
     pub operation: String,
-    pub header: v1::UploadHeader,
+    pub name: String,
+    pub grids: u64,
     pub rows_received: u64,
+    pub rows: u64,
     pub touched_at: i64,
     pub active: bool,
 }
@@ -163,8 +165,7 @@ impl Uploads {
 
     /// Compares a header with the one that began its upload; does nothing if there is none.
     pub fn compare(&self, header: &v1::UploadHeader) -> Result<()> {
-        let Some(known) = self.catalog(|c| c.get(&header.operation))? else { return Ok(()) };
-        let was = stored(&known)?;
+        let Some(was) = self.began(&header.operation)? else { return Ok(()) };
         match upload::difference(&was, header) {
             None => Ok(()),
             Some(what) => Err(Error::invalid(
@@ -209,19 +210,17 @@ impl Uploads {
     /// If there are too many uploads; if the disk has too little room for the samples and their commit.
     pub fn open(&self, claim: &Claim, header: &v1::UploadHeader, said: &Said) -> Result<Staging> {
         let operation = claim.operation();
-        let known = self.catalog(|c| c.get(operation))?;
-        if known.is_none() {
+        if self.catalog(|c| c.header(operation))?.is_none() {
             let here = folder_bytes(&self.folder(operation));
             let wanted = staging::room(said).saturating_sub(here);
             // A commit writes segments beside the samples that it reads.
             self.need_room(operation, wanted + said.bytes + said.bytes / 2 + ROOM_BYTES)?;
             let row = db::Upload {
                 operation: operation.to_string(),
-                header: header.encode_to_vec(),
                 bytes: staging::room(said),
                 touched_at: now(),
             };
-            self.catalog(|c| c.add(&row, self.most, self.most_bytes))?;
+            self.catalog(|c| c.add(&row, &header.encode_to_vec(), self.most, self.most_bytes))?;
         } else {
             self.touch(operation)?;
         }
@@ -276,19 +275,37 @@ impl Uploads {
     pub fn list(&self) -> Result<Vec<Listed>> {
         let all = self.catalog(|c| c.all())?;
         let active: HashSet<String> = self.work().keys().cloned().collect();
-        all.into_iter()
-            .map(|u| {
-                let header = stored(&u)?;
-                let mut rows = rows::RowSet::new(header.grids.iter().map(|g| g.rows));
-                journal::read(&self.folder(&u.operation).join(staging::RECEIVED), &mut |s| {
-                    if rows.holds(&s) {
-                        rows.add(&s);
-                    }
-                })?;
-                let (rows_received, active) = (rows.there(), active.contains(&u.operation));
-                Ok(Listed { operation: u.operation, header, rows_received, touched_at: u.touched_at, active })
-            })
-            .collect()
+        let mut out = Vec::with_capacity(all.len());
+        for u in all {
+            // It may be gone meanwhile.
+            let Some(header) = self.began(&u.operation)? else { continue };
+            let mut rows = rows::RowSet::new(header.grids.iter().map(|g| g.rows));
+            journal::read(&self.folder(&u.operation).join(staging::RECEIVED), &mut |s| {
+                if rows.holds(&s) {
+                    rows.add(&s);
+                }
+            })?;
+            out.push(Listed {
+                name: named(&header),
+                grids: header.grids.len() as u64,
+                rows_received: rows.there(),
+                rows: header.grids.iter().map(|g| g.rows).sum(),
+                touched_at: u.touched_at,
+                active: active.contains(&u.operation),
+                operation: u.operation,
+            });
+        }
+        Ok(out)
+    }
+
+    /// The header that began an upload, if it is in progress.
+    fn began(&self, operation: &str) -> Result<Option<v1::UploadHeader>> {
+        let Some(bytes) = self.catalog(|c| c.header(operation))? else { return Ok(None) };
+        let damaged = |e| {
+            let place = format!("header of upload '{operation}'");
+            Error::corrupt("uploads/catalog.sqlite", place, format!("{e}; abandon the upload"))
+        };
+        v1::UploadHeader::decode(&bytes[..]).map(Some).map_err(damaged)
     }
 
     /// How many uploads are not committed yet.
@@ -381,11 +398,14 @@ fn delivery(grid: &StagedGrid, hash: Option<&[u8; 32]>, at: &CellRect) -> Option
     Some(*blake3::hash(&bytes).as_bytes())
 }
 
-/// The header that began an upload.
-fn stored(known: &db::Upload) -> Result<v1::UploadHeader> {
-    v1::UploadHeader::decode(&known.header[..]).map_err(|e| {
-        Error::corrupt("uploads/catalog.sqlite", format!("header of upload '{}'", known.operation), e)
-    })
+/// What a survey will be called, as far as it is said.
+fn named(h: &v1::UploadHeader) -> String {
+    use v1::upload_header::Target;
+    match &h.target {
+        Some(Target::Into(s) | Target::Replace(s)) => s.clone(),
+        None if !h.name.is_empty() => h.name.clone(),
+        None => h.grids.first().map_or_else(String::new, |g| g.name.clone()),
+    }
 }
 
 /// Folders of uploads.

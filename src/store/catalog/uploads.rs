@@ -23,8 +23,6 @@ const DELIVERED_MAX: i64 = 200_000;
 pub struct Upload {
     /// The caller's id.
     pub operation: String,
-    /// The message that began it.
-    pub header: Vec<u8>,
     /// Room that its folder may take in the end, bytes.
     pub bytes: u64,
     /// Seconds since 1970 UTC of the last sign of life.
@@ -59,25 +57,24 @@ impl Uploads {
     /// Every upload in progress, by operation.
     pub fn all(&self) -> Result<Vec<Upload>> {
         let read = || {
-            let mut q = self.db.prepare_cached(
-                "SELECT operation, header, bytes, touched_at FROM upload ORDER BY operation",
-            )?;
+            let sql = "SELECT operation, bytes, touched_at FROM upload ORDER BY operation";
+            let mut q = self.db.prepare_cached(sql)?;
             q.query_map([], upload_of)?.collect::<rusqlite::Result<_>>()
         };
         read().map_err(|e| self.wrong(e))
     }
 
-    /// One upload.
-    pub fn get(&self, operation: &str) -> Result<Option<Upload>> {
-        let sql = "SELECT operation, header, bytes, touched_at FROM upload WHERE operation = ?1";
-        self.db.query_row(sql, [operation], upload_of).optional().map_err(|e| self.wrong(e))
+    /// The message that began an upload, if it is in progress.
+    pub fn header(&self, operation: &str) -> Result<Option<Vec<u8>>> {
+        let sql = "SELECT header FROM upload WHERE operation = ?1";
+        self.db.query_row(sql, [operation], |r| r.get(0)).optional().map_err(|e| self.wrong(e))
     }
 
-    /// Adds an upload that is not there.
+    /// Adds an upload that is not there, and the message that began it.
     ///
     /// # Errors
     /// If there would be more uploads than `most`, or more than `most_bytes` bytes of them.
-    pub fn add(&mut self, upload: &Upload, most: u64, most_bytes: u64) -> Result<()> {
+    pub fn add(&mut self, upload: &Upload, header: &[u8], most: u64, most_bytes: u64) -> Result<()> {
         let path = self.path.clone();
         let wrong = |e: rusqlite::Error| Error::Io {
             path: path.clone(),
@@ -98,7 +95,7 @@ impl Uploads {
         }
         tx.execute(
             "INSERT INTO upload VALUES (?1, ?2, ?3, ?4)",
-            params![upload.operation, upload.header, upload.bytes as i64, upload.touched_at],
+            params![upload.operation, header, upload.bytes as i64, upload.touched_at],
         )
         .map_err(wrong)?;
         tx.commit().map_err(wrong)
@@ -143,12 +140,7 @@ impl Uploads {
 }
 
 fn upload_of(row: &rusqlite::Row) -> rusqlite::Result<Upload> {
-    Ok(Upload {
-        operation: row.get(0)?,
-        header: row.get(1)?,
-        bytes: row.get::<_, i64>(2)? as u64,
-        touched_at: row.get(3)?,
-    })
+    Ok(Upload { operation: row.get(0)?, bytes: row.get::<_, i64>(1)? as u64, touched_at: row.get(2)? })
 }
 
 #[cfg(test)]
@@ -159,27 +151,23 @@ mod tests {
     fn uploads_are_kept_and_limited() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("catalog.sqlite");
-        let upload = |operation: &str, bytes| Upload {
-            operation: operation.into(),
-            header: vec![1, 2],
-            bytes,
-            touched_at: 5,
-        };
+        let upload = |operation: &str, bytes| Upload { operation: operation.into(), bytes, touched_at: 5 };
         let mut first = Uploads::open(&path).unwrap();
-        first.add(&upload("b", 10), 3, 100).unwrap();
+        first.add(&upload("b", 10), &[1, 2], 3, 100).unwrap();
         let mut second = Uploads::open(&path).unwrap();
-        second.add(&upload("a", 20), 3, 100).unwrap();
+        second.add(&upload("a", 20), &[1, 2], 3, 100).unwrap();
         assert_eq!(first.all().unwrap(), [upload("a", 20), upload("b", 10)]);
-        assert!(first.add(&upload("a", 1), 3, 100).is_err(), "it is there");
-        let e = first.add(&upload("c", 71), 3, 100).unwrap_err().to_string();
+        assert!(first.add(&upload("a", 1), &[1, 2], 3, 100).is_err(), "it is there");
+        let e = first.add(&upload("c", 71), &[1, 2], 3, 100).unwrap_err().to_string();
         assert!(e.contains("101") && e.contains("100"), "{e}");
-        first.add(&upload("c", 70), 3, 100).unwrap();
-        let e = first.add(&upload("d", 0), 3, 100).unwrap_err().to_string();
+        first.add(&upload("c", 70), &[1, 2], 3, 100).unwrap();
+        let e = first.add(&upload("d", 0), &[1, 2], 3, 100).unwrap_err().to_string();
         assert!(e.contains("4") && e.contains("3"), "{e}");
         second.touch("b", 9).unwrap();
-        assert_eq!(first.get("b").unwrap().unwrap().touched_at, 9);
+        assert_eq!(first.all().unwrap()[1].touched_at, 9);
+        assert_eq!(first.header("b").unwrap(), Some(vec![1, 2]));
         assert!(first.remove("b").unwrap() && !second.remove("b").unwrap());
-        assert_eq!(second.get("b").unwrap(), None);
+        assert_eq!(second.header("b").unwrap(), None);
     }
 
     #[test]
