@@ -315,7 +315,7 @@ impl Parts {
     }
 
     /// The next part, of about [`MESSAGE_BYTES`]; `None` after the last.
-    pub fn next(&mut self) -> Result<Option<v1::PatchesPart>> {
+    pub fn next_part(&mut self) -> Result<Option<v1::PatchesPart>> {
         let mut part = v1::PatchesPart::default();
         let mut room = MESSAGE_BYTES;
         fill(&mut self.masks_removed, &mut part.masks_removed, &mut room);

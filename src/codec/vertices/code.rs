@@ -208,8 +208,8 @@ pub fn fit(grid: &Grid) -> Coefficients {
     }
     // Cholesky, with a hair on the diagonal so that flat ground has an answer.
     let hair = (0..N).map(|k| a[k][k]).sum::<f64>() * 1e-9 + 1e-9;
-    for k in 0..N {
-        a[k][k] += hair;
+    for (k, row) in a.iter_mut().enumerate() {
+        row[k] += hair;
     }
     for r in 0..N {
         for c in 0..=r {

@@ -26,7 +26,7 @@ impl QueryService {
                 let (part, left) = state
                     .pools
                     .answer(move || {
-                        let part = parts.next()?;
+                        let part = parts.next_part()?;
                         Ok((part, parts))
                     })
                     .await?;
