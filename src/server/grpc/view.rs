@@ -1,6 +1,6 @@
 //! The View service.
 
-use crate::base::Error;
+use crate::base::{Error, Result};
 use crate::height::surface::Seams;
 use crate::server::status::status;
 use crate::server::view::{
@@ -45,15 +45,26 @@ async fn question(state: &State, q: v1::Question, manner: Manner) -> Answer<Ques
     if large { state.pools.answer(read).await } else { read().map_err(status) }
 }
 
+/// In which manner a view is opened.
+fn manner(open: &v1::OpenView) -> Result<Manner> {
+    let how = model::how(open.blend, open.seams, Seams::Off)?;
+    if how.seams != Seams::Off && !open.descriptors_only {
+        let what = format!(
+            "'{}' needs corrections, and this server does not send them with patches",
+            how.seams.name()
+        );
+        let remedy = "open the view with seams off, or for descriptors only; Heights and Export give the corrected surface";
+        return Err(Error::unsupported("seams", what, remedy));
+    }
+    Ok(Manner { how, descriptors_only: open.descriptors_only })
+}
+
 /// Opens a view, or comes back to one.
 async fn open(state: &Arc<State>, open: v1::OpenView) -> Answer<(Attached, Option<Presented>)> {
     let known = open.resume.as_ref().and_then(|r| state.views.find(&r.session));
     let manner = match &known {
         Some(session) => session.manner,
-        None => Manner {
-            how: model::how(open.blend, open.seams, Seams::Off).map_err(status)?,
-            descriptors_only: open.descriptors_only,
-        },
+        None => manner(&open).map_err(status)?,
     };
     let asked = match open.question {
         Some(q) => Some(Arc::new(question(state, q, manner).await?)),

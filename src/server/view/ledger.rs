@@ -124,7 +124,6 @@ mod tests {
             records: (from..to).map(record).collect(),
             surveys: Vec::new(),
             masks: Vec::new(),
-            corrections: Vec::new(),
             ground: Arc::default(),
             by_height: false,
         }

@@ -1,7 +1,7 @@
 //! A difference on its way: cut into messages, each made when there is room for it.
 
 use super::difference::Difference;
-use super::set::{Block, BlockKey, Member};
+use super::set::{BlockKey, Member};
 use crate::base::Result;
 use crate::db::Snapshot;
 use crate::server::{metrics, model};
@@ -17,13 +17,16 @@ const HANDLE_BYTES: usize = 5;
 const PATCH_BYTES: usize = 64;
 const FRAME_BYTES: usize = 160;
 
+/// Lists of a difference.
+const LISTS: usize = 7;
+
 /// A difference that is being sent. Payloads are read from the version that it leads to.
 pub struct Parcel {
     snapshot: Arc<Snapshot>,
     payload: bool,
     d: Difference,
-    /// How far each list is sent, in the order of [`Parcel::next`].
-    at: [usize; 9],
+    /// How far each list is sent, in the order of their sending.
+    at: [usize; LISTS],
     done: bool,
 }
 
@@ -46,7 +49,7 @@ fn take<T>(
 
 impl Parcel {
     pub fn new(d: Difference, snapshot: Arc<Snapshot>, payload: bool) -> Parcel {
-        Parcel { snapshot, payload, d, at: [0; 9], done: false }
+        Parcel { snapshot, payload, d, at: [0; LISTS], done: false }
     }
 
     /// Whether its last message was made.
@@ -61,7 +64,7 @@ impl Parcel {
     pub fn next(&mut self) -> Result<v1::ViewReply> {
         let d = &self.d;
         let mut m = v1::ViewReply { from: d.from, to: d.to, answers: d.answers, ..Default::default() };
-        if self.at == [0; 9] {
+        if self.at == [0; LISTS] {
             m.ground = d.ground.as_deref().cloned();
         }
         m.more = self.fill(&mut m)?;
@@ -78,8 +81,8 @@ impl Parcel {
 
     /// Fills a message; true: it is full and something is left.
     fn fill(&mut self, m: &mut v1::ViewReply) -> Result<bool> {
-        let (d, at, room) = (&self.d, &mut self.at, &mut MESSAGE_BYTES.clone());
-        let [gone, gone_s, gone_m, gone_c, surveys, added, changed, masks, corrections] = at;
+        let (d, at, room) = (&self.d, &mut self.at, &mut { MESSAGE_BYTES });
+        let [gone, gone_s, gone_m, surveys, added, changed, masks] = at;
         let (snapshot, payload) = (&self.snapshot, self.payload);
         Ok(take(&d.removed, gone, room, |x| {
             m.removed.push(x.handle);
@@ -89,9 +92,6 @@ impl Parcel {
             Ok(HANDLE_BYTES)
         })? || take(&d.masks_removed, gone_m, room, |x| {
             m.masks_removed.push(mask(x, Bytes::new()));
-            Ok(BLOCK_BYTES)
-        })? || take(&d.corrections_removed, gone_c, room, |x| {
-            m.corrections_removed.push(correction(x, Bytes::new()));
             Ok(BLOCK_BYTES)
         })? || take(&d.surveys, surveys, room, |x| {
             m.surveys.push((**x).clone());
@@ -106,9 +106,6 @@ impl Parcel {
             Ok(CHANGE_BYTES)
         })? || take(&d.masks, masks, room, |x| {
             m.masks.push(mask(&x.key, x.bytes.clone()));
-            Ok(BLOCK_BYTES + x.bytes.len())
-        })? || take(&d.corrections, corrections, room, |x: &Block| {
-            m.corrections.push(correction(&x.key, x.bytes.clone()));
             Ok(BLOCK_BYTES + x.bytes.len())
         })?)
     }
@@ -126,8 +123,4 @@ fn change(x: &Member, moved: bool) -> v1::PatchChange {
 
 fn mask(k: &BlockKey, cells: Bytes) -> v1::MaskBlock {
     v1::MaskBlock { survey: k.survey, level: u32::from(k.level), i: k.i, j: k.j, cells }
-}
-
-fn correction(k: &BlockKey, nodes: Bytes) -> v1::CorrectionBlock {
-    v1::CorrectionBlock { survey: k.survey, i: k.i, j: k.j, nodes }
 }

@@ -13,7 +13,7 @@ pub struct Member {
     pub handle: u32,
 }
 
-/// Where a block of a mask or of a correction lies. Level 0 for corrections.
+/// Where a block of a mask lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct BlockKey {
     pub survey: u32,
@@ -22,7 +22,7 @@ pub struct BlockKey {
     pub j: i32,
 }
 
-/// A block of a mask or of a correction.
+/// A block of a mask.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
     pub key: BlockKey,
@@ -49,8 +49,6 @@ pub struct Set {
     pub surveys: Arc<Vec<Arc<v1::SurveyFrame>>>,
     /// Ascending by key.
     pub masks: Arc<Vec<Block>>,
-    /// Ascending by key.
-    pub corrections: Arc<Vec<Block>>,
     /// As the client knows it, but for its version.
     pub ground: Option<Arc<v1::Ground>>,
 }
@@ -71,7 +69,6 @@ impl Set {
         let of = |shared: bool, n: usize| if shared { 0 } else { n };
         of(Arc::ptr_eq(&self.members, &other.members), self.members.len())
             + of(Arc::ptr_eq(&self.masks, &other.masks), self.masks.len())
-            + of(Arc::ptr_eq(&self.corrections, &other.corrections), self.corrections.len())
     }
 }
 

@@ -27,7 +27,6 @@ pub struct Target {
     /// Those of the patches and masks, ascending by number.
     pub surveys: Vec<Arc<v1::SurveyFrame>>,
     pub masks: Vec<Block>,
-    pub corrections: Vec<Block>,
     pub ground: Arc<v1::Ground>,
     /// Whether the tolerance depends on how high the ground is.
     pub by_height: bool,
@@ -51,7 +50,7 @@ impl Target {
             let what = "patches of a view (ask for a smaller region or a larger tolerance)";
             return Err(Error::limit(what, patches_max, n));
         }
-        let (mut masks, corrections) = (Vec::new(), Vec::new());
+        let mut masks = Vec::new();
         if !manner.descriptors_only {
             masks = snapshot.masks(&selection.region)?.into_iter().map(Block::from).collect();
         }
@@ -79,7 +78,6 @@ impl Target {
             surveys: surveys.collect::<Result<_>>()?,
             records: selection.records,
             masks,
-            corrections,
             ground,
             by_height: matches!(query.tolerance, Tolerance::Camera(_)),
         })
