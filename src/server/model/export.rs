@@ -40,7 +40,10 @@ pub fn file(r: &v1::FileRequest, s: &Snapshot, pixels_max: u64) -> Result<File> 
     let text = |t: &str| (!t.is_empty()).then(|| t.to_string());
     if let Some(survey) = text(&r.survey) {
         if form != Form::GeoTiff {
-            return Err(Error::invalid("survey", "a survey's samples are written as GeoTIFF; ask for that format"));
+            return Err(Error::invalid(
+                "survey",
+                "a survey's samples are written as GeoTIFF; ask for that format",
+            ));
         }
         return Ok(File::Samples { survey, tile: text(&r.tile) });
     }
