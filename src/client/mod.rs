@@ -3,11 +3,12 @@
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
 //! - [`catalog`]: what is in the database, changes without samples; [`query`]: patches, differences;
 //! - [`ingest`]: sends surveys;
-//! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen;
+//! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen; [`export`]: files;
 //! - [`view`]: a view that the server keeps in step.
 
 pub mod catalog;
 mod connection;
+pub mod export;
 pub mod heights;
 pub mod ingest;
 pub mod query;

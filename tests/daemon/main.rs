@@ -13,6 +13,8 @@ mod requests;
 mod arrivals;
 /// Commits as they happen, and where.
 mod commits;
+/// Files from a server are those of the command line, byte for byte.
+mod exports;
 /// A database of Mount St. Helens.
 mod hills;
 /// The server is killed while surveys arrive.

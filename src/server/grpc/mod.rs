@@ -2,6 +2,7 @@
 
 mod arrival;
 mod catalog;
+mod export;
 mod files;
 mod heights;
 mod ingest;
@@ -13,6 +14,7 @@ mod watch;
 
 use super::State;
 use crate::server::tokens::rights;
+use crate::wire::v1::export_server::ExportServer;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::view_server::ViewServer;
@@ -44,6 +46,7 @@ pub fn routes(state: &Arc<State>) -> Router {
         .add_service(reflection().build_v1alpha().expect("the descriptors were made by the build"))
         .add_service(health)
         .add_service(catalog::service(state))
+        .add_service(ExportServer::new(export::ExportService::new(state.clone())))
         .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(query)
