@@ -118,7 +118,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
     {
         return finish((door.run)(inner));
     }
-    if let Some((_, inner)) = matches.subcommand()
+    if let Some((word, inner)) = matches.subcommand()
+        && !DISK_ONLY.contains(&word)
         && let Ok(login) = line::Login::from_arg_matches(inner)
     {
         login.keep();

@@ -8,6 +8,7 @@ mod ingest;
 mod outgoing;
 mod query;
 mod report;
+mod undecodable;
 mod view;
 
 use super::State;
@@ -42,7 +43,7 @@ pub fn routes(state: &Arc<State>) -> Router {
         .add_service(ingest::service(state))
         .add_service(QueryServer::new(query::QueryService::new(state.clone())))
         .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
-    routes.prepare().into_axum_router()
+    routes.prepare().into_axum_router().layer(axum::middleware::map_response(undecodable::correct))
 }
 
 fn reflection() -> tonic_reflection::server::Builder<'static> {

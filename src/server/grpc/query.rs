@@ -3,7 +3,6 @@
 use crate::base::Error;
 use crate::height::surface::Seams;
 use crate::server::answer::{self, Asked, Budget, Parts};
-use crate::server::status::status;
 use crate::server::{Answer, State, metrics, model};
 use crate::wire::v1;
 use crate::wire::v1::patches_reply::Kind;
