@@ -9,6 +9,7 @@ mod ingest;
 mod outgoing;
 mod query;
 mod report;
+mod undecodable;
 mod view;
 mod watch;
 
@@ -52,7 +53,7 @@ pub fn routes(state: &Arc<State>) -> Router {
         .add_service(query)
         .add_service(view)
         .add_service(watch);
-    routes.prepare().into_axum_router()
+    routes.prepare().into_axum_router().layer(axum::middleware::map_response(undecodable::correct))
 }
 
 fn reflection() -> tonic_reflection::server::Builder<'static> {
