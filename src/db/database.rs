@@ -6,6 +6,7 @@
 //! ```
 
 use super::awaiting::AWAITING;
+use super::caches::Caches;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -72,6 +73,7 @@ pub struct Db {
     policy: Policy,
     kind: Kind,
     unit: LatticeUnit,
+    caches: Arc<Caches>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -300,6 +302,7 @@ impl Db {
             policy,
             kind,
             unit: LatticeUnit { exponent },
+            caches: Caches::new(),
         })
     }
 
@@ -346,7 +349,8 @@ impl Db {
     pub fn snapshot(&self, at: Option<u64>) -> Result<Snapshot> {
         let claim = self.claim(&*self.catalog_for_reading()?, at)?;
         let files = claim.iter().flat_map(|c| &c.files).map(|f| (f.number, f.length));
-        let view = View::open(Files::new(self.disk.clone(), files), claim.as_ref().map(|c| c.version.root))?;
+        let files = Files::new(self.disk.clone(), files);
+        let view = View::sharing(files, claim.as_ref().map(|c| c.version.root), self.caches.clone())?;
         let (version, lease) = claim.map(|c| (c.version, c.lease)).unzip();
         Ok(Snapshot {
             view,
