@@ -77,6 +77,9 @@ fn corners(quad: &Quad, size: f64) -> [[f64; 2]; 4] {
     quad.0.map(|p| [p.x as f64 * size, p.y as f64 * size])
 }
 
+/// Patches that a camera's question looks at, so that the set of those seen seldom grows.
+const SEEN: usize = 2048;
+
 /// Ids are hashes already: their first bytes serve as they are.
 #[derive(Default)]
 struct OfContent(u64);
@@ -157,7 +160,8 @@ impl Snapshot {
         let (Some(tree), false) = (&self.view.tree, region.is_empty()) else { return Ok(out) };
         let kappa = if blend == Blend::Exact { KAPPA } else { 1.0 };
         let size = self.unit.size();
-        let mut seen: HashSet<PatchId, BuildHasherDefault<OfContent>> = HashSet::default();
+        let mut seen: HashSet<PatchId, BuildHasherDefault<OfContent>> =
+            HashSet::with_capacity_and_hasher(SEEN, Default::default());
         let (mut of_cell, mut of_record) = (Clip::new(&region), Clip::new(&region));
         let mut tested = 0;
         let mut records = Vec::new();

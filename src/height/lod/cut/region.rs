@@ -96,9 +96,13 @@ impl Clip {
         }
         part.extend_from_slice(polygon);
         for line in lines {
-            sides.clear();
-            sides.extend(part.iter().map(|p| line.side(*p)));
-            if sides.iter().all(|s| *s >= 0.0) {
+            let mut inside = true;
+            sides.resize(part.len(), 0.0);
+            for (side, p) in sides.iter_mut().zip(part.iter()) {
+                *side = line.side(*p);
+                inside &= *side >= 0.0;
+            }
+            if inside {
                 continue;
             }
             next.clear();
