@@ -9,6 +9,7 @@
 //! - [`base`]: errors, limits, exact integer geometry
 //! - [`height`]: heights as mathematics: patches, LOD space, the surface
 //! - [`mesh`], [`store`]: triangulation; the database on disk
+//! - [`codec`]: what travels between servers and clients, packed
 //! - [`db`]: the junction: ingest, query, verify
 //! - [`analysis`]: profiles, contours, volumes: answers computed from the surface
 //! - [`format`]: other people's formats
@@ -19,6 +20,7 @@ pub mod analysis;
 pub mod base;
 pub mod cli;
 pub mod client;
+pub mod codec;
 pub mod db;
 pub mod format;
 pub mod height;

@@ -7,6 +7,7 @@
 
 use super::awaiting::AWAITING;
 use super::caches::Caches;
+use super::payload::Payloads;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -74,6 +75,7 @@ pub struct Db {
     kind: Kind,
     unit: LatticeUnit,
     caches: Arc<Caches>,
+    payloads: Arc<Payloads>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -303,6 +305,7 @@ impl Db {
             kind,
             unit: LatticeUnit { exponent },
             caches: Caches::new(),
+            payloads: Arc::new(Payloads::new()),
         })
     }
 
@@ -359,6 +362,7 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: lease.map(Arc::new),
         })
     }
@@ -414,6 +418,8 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
+    /// Shared by all snapshots of a database.
+    pub(super) payloads: Arc<Payloads>,
     _lease: Option<Arc<Lease>>,
 }
 
@@ -447,6 +453,7 @@ impl Snapshot {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
+            payloads: self.payloads.clone(),
             _lease: self._lease.clone(),
         }
     }

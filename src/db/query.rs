@@ -97,7 +97,7 @@ impl Snapshot {
     }
 
     /// Surveys whose weights may reach into a box.
-    fn near(&self, b: [f64; 4]) -> HashSet<SurveyNumber> {
+    pub(super) fn near(&self, b: [f64; 4]) -> HashSet<SurveyNumber> {
         if !b.iter().all(|v| v.is_finite()) {
             return HashSet::new();
         }

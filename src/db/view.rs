@@ -3,6 +3,7 @@
 use super::caches::{Caches, Known};
 use super::head::Head;
 use super::reader::SampleReader;
+use super::masks::Masks;
 use super::root::{Root, SurveyEntry};
 use super::seams::SeamCache;
 use super::tile::Directory;
@@ -116,6 +117,8 @@ pub struct View {
     caches: Arc<Caches>,
     /// Correction fields and what they are made of.
     pub seams: SeamCache,
+    /// Blocks of masks.
+    pub masks: Masks,
 }
 
 impl View {
@@ -137,6 +140,7 @@ impl View {
             top_lists: entries.keys().map(|n| (*n, OnceLock::new())).collect(),
             caches,
             seams: SeamCache::new(),
+            masks: Masks::new(),
             tree: root.tree,
             files,
             entries,

@@ -6,6 +6,7 @@
 //! - `grpc`: one file a service of `proto/terraquilt/v1`;
 //! - [`start`]: listens, and stops gracefully.
 
+mod answer;
 pub mod command;
 mod grpc;
 mod live;

@@ -1,5 +1,9 @@
 //! Messages become our types here, once; behind it our types are trusted.
 
+mod looser;
+mod parts;
 mod question;
 
-pub use question::{area, how, pairs, query, tolerance};
+pub use looser::looser;
+pub use parts::{frames, ground, mask, patch, set_hash};
+pub use question::{area, how, manner, pairs, query, tolerance};

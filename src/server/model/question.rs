@@ -140,6 +140,20 @@ pub fn how(blend: i32, seams: i32, unspecified: Seams) -> Result<How> {
     Ok(How { blend, seams })
 }
 
+/// A manner, as it is said in answers.
+pub fn manner(how: How) -> (v1::Blend, v1::Seams) {
+    let blend = match how.blend {
+        Blend::Exact => v1::Blend::Exact,
+        Blend::Plain => v1::Blend::Plain,
+    };
+    let seams = match how.seams {
+        Seams::Off => v1::Seams::Off,
+        Seams::All => v1::Seams::All,
+        Seams::Consistent => v1::Seams::Consistent,
+    };
+    (blend, seams)
+}
+
 /// A whole question.
 pub fn query(region: Option<&v1::Region>, t: Option<&v1::Tolerance>, how: How) -> Result<Query> {
     Ok(Query { area: area(region)?, tolerance: tolerance(t)?, how })
