@@ -22,7 +22,7 @@ mod volume;
 pub use contours::{Contour, Contours, Levels, contours};
 pub use dissolve::{Piece, dissolve};
 pub use grid::{Grid, Spot};
-pub use profile::{Station, line_length_m, profile};
+pub use profile::{Station, Stations, line_length_m, profile};
 pub use shape::{Shape, Sun};
 pub use sight::{End, Ray, Sight, SightOptions, Verdict, sight};
 pub use statistics::{Statistics, statistics};

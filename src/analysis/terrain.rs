@@ -47,8 +47,7 @@ impl<'a> Terrain<'a> {
 
     /// Length in metres of a short step.
     pub fn distance_m(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
-        let k = self.scale([(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0]);
-        ((b[0] - a[0]) * k[0]).hypot((b[1] - a[1]) * k[1])
+        distance_m(self.snapshot.crs().unit, a, b)
     }
 
     /// The survey with the smallest cells among those whose box meets `bounds`; of equal ones the first.
@@ -67,6 +66,12 @@ impl<'a> Terrain<'a> {
             })
             .map(|e| e.number)
     }
+}
+
+/// Length in metres of a short step.
+pub(super) fn distance_m(unit: AxisUnit, a: [f64; 2], b: [f64; 2]) -> f64 {
+    let k = metres_per_unit(unit, [(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0]);
+    ((b[0] - a[0]) * k[0]).hypot((b[1] - a[1]) * k[1])
 }
 
 /// The answer where a line or region meets no survey.

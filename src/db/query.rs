@@ -116,8 +116,7 @@ impl Snapshot {
         let keep: Vec<SurveyNumber> =
             self.entries().map(|e| e.number).filter(|s| used.contains(s) || near.contains(s)).collect();
         let slot: HashMap<SurveyNumber, usize> = keep.iter().enumerate().map(|(k, s)| (*s, k)).collect();
-        let fields =
-            keep.iter().map(|s| SurveyField::new(self.view.geometry_of(*s), self.unit, origin)).collect();
+        let fields = keep.iter().map(|s| SurveyField::new(self.view.geometry_of(*s), self.unit)).collect();
         let patches = selection
             .records
             .iter()
@@ -152,7 +151,7 @@ impl Snapshot {
         tolerance: &Tolerance,
         how: impl Into<How>,
     ) -> Result<Vec<Option<Evaluation>>> {
-        self.scattered(points, tolerance, how.into(), false)
+        self.scattered(points, tolerance, how.into(), &|g, p| g.heights(p))
     }
 
     /// As [`Snapshot::heights`], with the gradients of the surface.
@@ -162,16 +161,26 @@ impl Snapshot {
         tolerance: &Tolerance,
         how: impl Into<How>,
     ) -> Result<Vec<Option<Evaluation>>> {
-        self.scattered(points, tolerance, how.into(), true)
+        self.scattered(points, tolerance, how.into(), &|g, p| g.slopes(p))
     }
 
-    fn scattered(
+    /// Who makes the height at each point: as [`Snapshot::explain`].
+    pub fn explained(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        how: impl Into<How>,
+    ) -> Result<Vec<Option<Vec<(Record, f64)>>>> {
+        self.scattered(points, tolerance, how.into(), &|g, p| g.explained(p))
+    }
+
+    fn scattered<E: Clone>(
         &self,
         points: &[[f64; 2]],
         tolerance: &Tolerance,
         how: How,
-        slopes: bool,
-    ) -> Result<Vec<Option<Evaluation>>> {
+        ask: Ask<E>,
+    ) -> Result<Vec<Option<E>>> {
         if let Tolerance::Constant(c) = tolerance
             && (c.is_nan() || *c < 0.0)
         {
@@ -182,18 +191,18 @@ impl Snapshot {
         let reach = WORLD_HALF as f64 * self.unit.size();
         let mut order: Vec<usize> =
             (0..points.len()).filter(|k| points[*k].iter().all(|v| v.abs() <= reach)).collect();
-        self.scattered_within(points, &mut order, tolerance, how, slopes, &mut out)?;
+        self.scattered_within(points, &mut order, tolerance, how, ask, &mut out)?;
         Ok(out)
     }
 
-    fn scattered_within(
+    fn scattered_within<E>(
         &self,
         points: &[[f64; 2]],
         order: &mut [usize],
         tolerance: &Tolerance,
         how: How,
-        slopes: bool,
-        out: &mut [Option<Evaluation>],
+        ask: Ask<E>,
+        out: &mut [Option<E>],
     ) -> Result<()> {
         if order.is_empty() || self.view.tree.is_none() {
             return Ok(());
@@ -216,8 +225,8 @@ impl Snapshot {
             // Far out the middle of two neighbouring floats is one of them: such points stay together.
             if 0 < split && split < order.len() {
                 let (left, right) = order.split_at_mut(split);
-                self.scattered_within(points, left, tolerance, how, slopes, out)?;
-                return self.scattered_within(points, right, tolerance, how, slopes, out);
+                self.scattered_within(points, left, tolerance, how, ask, out)?;
+                return self.scattered_within(points, right, tolerance, how, ask, out);
             }
         }
         // A region around the points: any superset gives the same heights.
@@ -229,13 +238,16 @@ impl Snapshot {
         let selection = self.select_in(region, &*cut, how.blend)?;
         let ground = self.ground(selection, cut, how);
         let here: Vec<[f64; 2]> = order.iter().map(|k| points[*k]).collect();
-        let found = if slopes { ground.slopes(&here)? } else { ground.heights(&here)? };
+        let found = ask(&ground, &here)?;
         for (k, e) in order.iter().zip(found) {
             out[*k] = e;
         }
         Ok(())
     }
 }
+
+/// What is asked of a surface at points.
+type Ask<'a, E> = &'a dyn Fn(&Ground, &[[f64; 2]]) -> Result<Vec<Option<E>>>;
 
 /// Patches that a surface keeps decoded: some 36 MB of either kind.
 fn shapes_cached(kind: Kind) -> usize {
@@ -341,6 +353,16 @@ impl Ground<'_> {
         Ok(parts.into_iter().flatten().collect())
     }
 
+    /// Who makes the heights at points of the region, in parallel: patches and normalised weights, largest first.
+    pub fn explained(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Vec<(Record, f64)>>>> {
+        let one = |p: &[f64; 2]| {
+            let found = self.sheet().explain(*p)?;
+            let named = |(k, w): (usize, f64)| (self.selection.records[k], w);
+            Ok(found.map(|(_, who)| who.into_iter().map(named).collect()))
+        };
+        points.par_iter().map(one).collect()
+    }
+
     /// The allowed error at a point, metres.
     pub fn tolerance(&self, p: [f64; 2]) -> f64 {
         self.cut.at(p)
@@ -360,15 +382,7 @@ impl Snapshot {
         tolerance: &Tolerance,
         how: impl Into<How>,
     ) -> Result<Vec<(Record, f64)>> {
-        let how = how.into();
-        let pad = (p[0].abs().max(p[1].abs())).max(1.0) * 1e-9;
-        let region = Region::from_box([p[0] - pad, p[1] - pad, p[0] + pad, p[1] + pad]);
-        let cut = self.cut(tolerance);
-        let ground = self.ground(self.select_in(region, &*cut, how.blend)?, cut, how);
-        let found = ground.sheet().explain(p)?;
-        Ok(found.map_or(Vec::new(), |(_, who)| {
-            who.into_iter().map(|(k, w)| (ground.selection.records[k], w)).collect()
-        }))
+        Ok(self.explained(&[p], tolerance, how)?.pop().flatten().unwrap_or_default())
     }
 
     /// The patch that weighs most at each point; `None` where there is no data.

@@ -50,8 +50,7 @@ impl Sheet<'_> {
         if !self.surface.corrected {
             return Ok(0.0);
         }
-        let local = [0, 1].map(|k| p[k] - self.surface.origin[k]);
-        let index: [f64; 2] = self.surface.surveys[survey].index(local);
+        let index: [f64; 2] = self.surface.surveys[survey].index(p);
         Ok(self.correction(survey, index, self.cut.at(p), &mut Scratch::default())?.0)
     }
 

@@ -63,8 +63,10 @@ impl From<Blend> for How {
 pub struct SurveyField {
     pub accuracy: f32,
     frame: Frame,
-    /// Index coordinates of the local origin, and of one CRS unit in x and y.
-    origin: [f64; 2],
+    /// A post in the middle of the survey, CRS units, and its index coordinates: positions are taken from there.
+    middle: [f64; 2],
+    middle_index: [f64; 2],
+    /// Index coordinates of one CRS unit in x and y.
     by_x: [f64; 2],
     by_y: [f64; 2],
     /// Half the side of a level-0 domain, CRS units.
@@ -121,7 +123,8 @@ pub type Hessian = [f64; 3];
 pub struct Surface {
     /// What lies between vertices; weights and fades are as smooth.
     pub kind: Kind,
-    pub(super) origin: [f64; 2],
+    /// The lists of patches near a point are found from there.
+    origin: [f64; 2],
     pub surveys: Vec<SurveyField>,
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
@@ -139,19 +142,22 @@ pub struct Sheet<'a> {
 }
 
 impl SurveyField {
-    /// `origin` in CRS units: local coordinates are taken from there, so that digits are kept.
-    pub fn new(g: &Geometry, unit: LatticeUnit, origin: [f64; 2]) -> SurveyField {
+    /// Positions in a survey are taken from a post of its own, so that digits are kept, and a height is the same bit for bit
+    /// from whatever region it is asked.
+    pub fn new(g: &Geometry, unit: LatticeUnit) -> SurveyField {
         let (frame, steps, accuracy) = (&g.frame, g.steps, g.accuracy);
         let size = unit.size();
-        let at = Point::new((origin[0] / size).round() as i64, (origin[1] / size).round() as i64);
-        let (i, j) = frame.index(at);
+        let post = frame.post((g.core.i0 + g.core.i1) / 2, (g.core.j0 + g.core.j1) / 2);
+        let middle = [post.x as f64, post.y as f64];
+        let (i, j) = frame.index(Point::new(middle[0] as i64, middle[1] as i64));
         let d = frame.determinant() as f64 * size * size;
         let (u, v) = (frame.u, frame.v);
         let half = (KERNEL / 2 + MARGIN) as f64;
         SurveyField {
             accuracy,
             frame: *frame,
-            origin: [i, j],
+            middle: middle.map(|v| v * size),
+            middle_index: [i, j],
             by_x: [v.y as f64 * size / d, -(u.y as f64) * size / d],
             by_y: [-(v.x as f64) * size / d, u.x as f64 * size / d],
             half: [half * steps[0], half * steps[1]],
@@ -160,11 +166,12 @@ impl SurveyField {
         }
     }
 
-    /// Index coordinates of a point given relative to the local origin.
+    /// Index coordinates of a point (CRS units).
     #[inline]
     pub(super) fn index<T: Real>(&self, p: [f64; 2]) -> [T; 2] {
+        let p = [p[0] - self.middle[0], p[1] - self.middle[1]];
         [0, 1].map(|k| {
-            let v = self.origin[k] + (self.by_x[k] * p[0] + self.by_y[k] * p[1]);
+            let v = self.middle_index[k] + (self.by_x[k] * p[0] + self.by_y[k] * p[1]);
             T::with_gradient(v, self.by_x[k], self.by_y[k])
         })
     }
@@ -318,13 +325,12 @@ impl Sheet<'_> {
     /// What the surface is at a point, and its second derivatives (0 where `T` does not carry them).
     fn evaluate<T: Real>(
         &self,
-        point: [f64; 2],
+        p: [f64; 2],
         s: &mut Scratch,
         mut who: Option<&mut Vec<(usize, f64)>>,
     ) -> Result<Option<(Evaluation, Hessian)>> {
         let surface = self.surface;
-        let p = [point[0] - surface.origin[0], point[1] - surface.origin[1]];
-        let near = surface.index.at(p);
+        let near = surface.index.at([p[0] - surface.origin[0], p[1] - surface.origin[1]]);
         let (mut few, mut many) = ([None; FEW], Vec::new());
         let at: &mut [Option<At<T>>] = if surface.surveys.len() <= FEW {
             &mut few
@@ -332,7 +338,7 @@ impl Sheet<'_> {
             many.resize(surface.surveys.len(), None);
             &mut many
         };
-        let tolerance = self.tolerance::<T>(point);
+        let tolerance = self.tolerance::<T>(p);
         let volume = surface.kind.volume();
         let mut weights = T::constant(0.0);
         let mut sum = T::constant(0.0);

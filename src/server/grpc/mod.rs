@@ -1,10 +1,13 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod heights;
+mod outgoing;
 mod query;
 
 use super::State;
-use crate::wire;
+use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
+use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
 use tonic::service::Routes;
@@ -15,6 +18,11 @@ pub fn routes(state: &Arc<State>) -> Router {
         .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
         .build_v1()
         .expect("the descriptors were made by the build");
-    let routes = Routes::new(v1).add_service(QueryServer::new(query::QueryService::new(state.clone())));
+    let heights = HeightsServer::new(heights::HeightsService(state.clone()))
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let routes = Routes::new(v1)
+        .add_service(heights)
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())));
     routes.into_axum_router()
 }

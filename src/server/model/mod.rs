@@ -1,5 +1,6 @@
 //! Messages become our types here, once; behind it our types are trusted.
 
+pub mod heights;
 mod looser;
 mod parts;
 mod question;
