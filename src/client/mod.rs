@@ -1,9 +1,11 @@
 //! The other side of the wire: asks a server what `proto/terraquilt/v1` says, for the command line and for programs in Rust.
 //!
-//! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service.
-//! - [`heights`]: points, lines and rasters.
+//! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
+//! - [`heights`]: points, lines and rasters;
+//! - [`view`]: a view that the server keeps in step.
 
 mod connection;
 pub mod heights;
+pub mod view;
 
 pub use connection::{Address, Bearer, Connection, Wire, failed};

@@ -3,6 +3,7 @@
 //!
 //! - [`State`]: the database as it is now ([`Live`]), the threads that work for it ([`Pools`]);
 //! - `model`: messages become our types, once, at the edge; `status`: our errors become statuses;
+//! - [`view`]: what clients hold, and what is sent to keep it in step;
 //! - `grpc`: one file a service of `proto/terraquilt/v1`;
 //! - [`start`]: listens, and stops gracefully.
 
@@ -16,6 +17,7 @@ mod pools;
 mod settings;
 mod state;
 mod status;
+pub mod view;
 
 pub use live::{Arrival, Live};
 pub use pools::{Answer, Pools};
@@ -49,7 +51,8 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let io = |e| Error::invalid(format!("address {listen}"), e);
     let listener = TcpListener::bind(listen).await.map_err(io)?;
     let address = listener.local_addr().map_err(io)?;
-    let (stop, stopped) = watch::channel(false);
+    let stop = state.stop.clone();
+    let stopped = stop.subscribe();
     state.live.follow(stopped.clone());
     let app = grpc::routes(&state);
     let until = |mut stopped: watch::Receiver<bool>| async move {
@@ -67,7 +70,7 @@ impl Running {
 
     /// Takes no more connections, lets calls that are under way end, and returns.
     pub async fn stop(self) -> Result<()> {
-        let _ = self.stop.send(true);
+        self.stop.send_replace(true);
         self.done
             .await
             .map_err(|e| Error::invalid("server", e))?

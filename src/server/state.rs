@@ -1,10 +1,12 @@
 //! What all calls share.
 
 use super::operations::Operations;
+use super::view::Sessions;
 use super::{Live, Pools, Settings};
 use crate::base::Result;
 use crate::db::Db;
 use std::sync::Arc;
+use tokio::sync::watch;
 
 /// What all calls share.
 pub struct State {
@@ -12,11 +14,21 @@ pub struct State {
     pub live: Arc<Live>,
     pub pools: Pools,
     pub operations: Operations,
+    pub views: Sessions,
+    /// True when the server stops: streams that would go on for ever end then.
+    pub stop: watch::Sender<bool>,
 }
 
 impl State {
     pub fn open(settings: Settings) -> Result<State> {
         let live = Arc::new(Live::open(Db::open(&settings.db)?)?);
-        Ok(State { live, pools: Pools::new()?, operations: Operations::default(), settings })
+        Ok(State {
+            live,
+            pools: Pools::new()?,
+            operations: Operations::default(),
+            views: Sessions::new(settings.sessions_kept, settings.sessions_max),
+            stop: watch::Sender::new(false),
+            settings,
+        })
     }
 }

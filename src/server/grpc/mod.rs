@@ -3,10 +3,12 @@
 mod heights;
 mod outgoing;
 mod query;
+mod view;
 
 use super::State;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
+use crate::wire::v1::view_server::ViewServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
 use axum::Router;
 use std::sync::Arc;
@@ -21,8 +23,10 @@ pub fn routes(state: &Arc<State>) -> Router {
     let heights = HeightsServer::new(heights::HeightsService(state.clone()))
         .max_decoding_message_size(MESSAGE_BYTES_MAX)
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
+    let view = ViewServer::new(view::ViewService::new(state.clone()));
     let routes = Routes::new(v1)
         .add_service(heights)
-        .add_service(QueryServer::new(query::QueryService::new(state.clone())));
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
+        .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
     routes.into_axum_router()
 }

@@ -6,5 +6,5 @@ mod parts;
 mod question;
 
 pub use looser::looser;
-pub use parts::{frames, ground, mask, patch, set_hash};
+pub use parts::{frames, ground, mask, patch, set_hash, survey_frame};
 pub use question::{area, how, manner, pairs, query, tolerance};
