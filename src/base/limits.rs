@@ -44,3 +44,13 @@ pub const POLYGON_POINTS_MAX: u64 = 500_000;
 pub const POLYGON_COMPARISONS_MAX: u64 = 200_000_000;
 /// Bytes of a GeoJSON file.
 pub const GEOJSON_BYTES_MAX: u64 = 128 << 20;
+/// Grids of one upload.
+pub const UPLOAD_GRIDS_MAX: u64 = 10_000;
+/// Rows of all grids of one upload: one bit each is held while it comes in, 24 bytes are kept beside its samples.
+pub const UPLOAD_ROWS_MAX: u64 = 16 << 20;
+/// Bytes of one row of an upload. It has to fit into a message.
+pub const UPLOAD_ROW_BYTES_MAX: u64 = 2 << 20;
+/// Bytes of the caller's id of an operation.
+pub const OPERATION_BYTES_MAX: usize = 200;
+/// Files of one call that names files.
+pub const FILES_MAX: u64 = 1000;

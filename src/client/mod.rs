@@ -2,10 +2,12 @@
 //!
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
 //! - [`heights`]: points, lines and rasters;
+//! - [`ingest`]: sends surveys;
 //! - [`view`]: a view that the server keeps in step.
 
 mod connection;
 pub mod heights;
+pub mod ingest;
 pub mod view;
 
 pub use connection::{Address, Bearer, Connection, Wire, failed};

@@ -2,13 +2,13 @@
 
 use super::change::{Call, Ingest, Outcome, find_survey};
 use super::commit::{Plan, Retiled};
-use super::database::Policy;
+use super::database::{Db, Policy};
 use super::declare::{agree, crs_of, declare, fits, one_vertical_datum};
 use super::head::{Declaration, Head, Tile};
 use super::resample::warp_of;
 use super::root::SurveyEntry;
 use super::tile::{Directory, write_tile};
-use super::view::Tables;
+use super::view::{Tables, View};
 use super::writing::Writing;
 use crate::base::{Error, Result};
 use crate::height::frame::CellRect;
@@ -16,6 +16,7 @@ use crate::height::lod::SurveyNumber;
 use crate::height::source::SourceInfo;
 use crate::store::segment::{PageRef, Pages, SegmentKind, SegmentWriter, file_name};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 impl Writing {
     pub(super) fn find(&self, name: &str) -> Result<&SurveyEntry> {
@@ -25,53 +26,10 @@ impl Writing {
     /// Brings files in: a new survey, tiles of one, or (`replace`) tiles of one in place of those they cover.
     pub fn ingest(&mut self, call: &Call, mut request: Ingest, replace: bool) -> Result<Outcome> {
         let db = call.db;
-        let first = request
-            .sources
-            .first()
-            .ok_or_else(|| Error::invalid("ingest", "no file was given"))?
-            .info()
-            .clone();
-        let mut warnings: Vec<String> = Vec::new();
-        for s in &request.sources {
-            crs_of(s.info(), &request, db)?;
-            warnings.extend(s.info().notes.iter().map(|n| format!("{}: {n}", s.info().file)));
-        }
-        let entry = request.into.as_deref().map(|n| self.find(n).cloned()).transpose()?;
-        let before = entry.as_ref().map(|e| self.view.head(e.number).cloned()).transpose()?;
-        let declaration = match &before {
-            Some(h) => {
-                agree(&h.declaration, &first, &request)?;
-                h.declaration.clone()
-            }
-            None => {
-                let infos: Vec<&SourceInfo> = request.sources.iter().map(|s| s.info()).collect();
-                declare(db, &infos, &request, &mut warnings)?
-            }
-        };
-        one_vertical_datum(&declaration, &self.view)?;
-        let warp = warp_of(&declaration)?;
-        if request.name.is_none() && entry.is_none() && request.sources.len() > 1 {
-            warnings.push(format!(
-                "{} files make one survey, named '{}'; --name names it",
-                request.sources.len(),
-                declaration.name
-            ));
-        }
+        let Foreseen { entry, before, declaration, places, mut warnings } =
+            foresee(db, &self.view, &request, request.into.as_deref())?;
         let existing =
             self.view.entries().values().find(|e| entry.is_none() && e.name == declaration.name).cloned();
-        if db.policy() == Policy::Newest
-            && entry.is_none()
-            && request.date.is_none()
-            && request.precedence.is_none()
-        {
-            return Err(Error::invalid(
-                "date",
-                format!(
-                    "policy 'newest' ranks surveys by date, and '{}' has none; give --date YYYY-MM-DD (or --precedence N)",
-                    declaration.name
-                ),
-            ));
-        }
         let needed: u64 = request
             .sources
             .iter()
@@ -85,15 +43,8 @@ impl Writing {
         let mut dead = Vec::new();
         let (mut posts, mut voids) = (0, 0);
         let mut sources = std::mem::take(&mut request.sources);
-        for source in &mut sources {
+        for (source, at) in sources.iter_mut().zip(places) {
             let info = source.info().clone();
-            fits(&declaration, &info, &request, db)?;
-            let affine = info.affine.expect("a file without a georeference was refused");
-            let at = declaration.delivered_lattice().index_of(&affine, info.cols, info.rows, &info.file)?;
-            if let Some(w) = &warp {
-                let posts = CellRect::new(at[0], at[1], at[0] + info.cols as i64, at[1] + info.rows as i64);
-                w.target_rect(&posts, &info.file)?;
-            }
             let tile = write_tile(source.as_mut(), &declaration, at, &mut segment, call.progress)?;
             warnings.extend(suspect(&info, &tile, &declaration));
             posts += info.cols * info.rows;
@@ -254,6 +205,75 @@ impl Writing {
         let d = self.view.directory(&t.directory)?;
         Ok(std::iter::once(t.directory).chain(d.pages.iter().map(|(p, _)| *p)).collect())
     }
+}
+
+/// What is known of an ingest before a sample is read.
+pub(super) struct Foreseen {
+    /// The survey that the files join, and its head.
+    entry: Option<SurveyEntry>,
+    before: Option<Arc<Head>>,
+    declaration: Declaration,
+    /// First post of each file on the lattice of the survey.
+    places: Vec<[i64; 2]>,
+    pub warnings: Vec<String>,
+}
+
+/// Refuses what can be refused without reading a sample. `into`: the survey that the files join.
+pub(super) fn foresee(db: &Db, view: &View, request: &Ingest, into: Option<&str>) -> Result<Foreseen> {
+    let first =
+        request.sources.first().ok_or_else(|| Error::invalid("ingest", "no file was given"))?.info().clone();
+    let mut warnings: Vec<String> = Vec::new();
+    for s in &request.sources {
+        crs_of(s.info(), request, db)?;
+        warnings.extend(s.info().notes.iter().map(|n| format!("{}: {n}", s.info().file)));
+    }
+    let entry = into.map(|n| find_survey(view, n).cloned()).transpose()?;
+    let before = entry.as_ref().map(|e| view.head(e.number).cloned()).transpose()?;
+    let declaration = match &before {
+        Some(h) => {
+            agree(&h.declaration, &first, request)?;
+            h.declaration.clone()
+        }
+        None => {
+            let infos: Vec<&SourceInfo> = request.sources.iter().map(|s| s.info()).collect();
+            declare(db, &infos, request, &mut warnings)?
+        }
+    };
+    one_vertical_datum(&declaration, view)?;
+    let warp = warp_of(&declaration)?;
+    if request.name.is_none() && entry.is_none() && request.sources.len() > 1 {
+        warnings.push(format!(
+            "{} files make one survey, named '{}'; --name names it",
+            request.sources.len(),
+            declaration.name
+        ));
+    }
+    if db.policy() == Policy::Newest
+        && entry.is_none()
+        && request.date.is_none()
+        && request.precedence.is_none()
+    {
+        return Err(Error::invalid(
+            "date",
+            format!(
+                "policy 'newest' ranks surveys by date, and '{}' has none; give --date YYYY-MM-DD (or --precedence N)",
+                declaration.name
+            ),
+        ));
+    }
+    let mut places = Vec::with_capacity(request.sources.len());
+    for source in &request.sources {
+        let info = source.info();
+        fits(&declaration, info, request, db)?;
+        let affine = info.affine.expect("a file without a georeference was refused");
+        let at = declaration.delivered_lattice().index_of(&affine, info.cols, info.rows, &info.file)?;
+        if let Some(w) = &warp {
+            let posts = CellRect::new(at[0], at[1], at[0] + info.cols as i64, at[1] + info.rows as i64);
+            w.target_rect(&posts, &info.file)?;
+        }
+        places.push(at);
+    }
+    Ok(Foreseen { entry, before, declaration, places, warnings })
 }
 
 /// Values that programs write where there is no data.

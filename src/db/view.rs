@@ -2,8 +2,8 @@
 
 use super::caches::{Caches, Known};
 use super::head::Head;
-use super::reader::SampleReader;
 use super::masks::Masks;
+use super::reader::SampleReader;
 use super::root::{Root, SurveyEntry};
 use super::seams::SeamCache;
 use super::tile::Directory;

@@ -39,7 +39,7 @@ mod voids;
 mod window;
 
 use crate::base::Result;
-use crate::height::source::HeightSource;
+use crate::height::source::{HeightSource, SourceInfo};
 use input::Input;
 use sidecar::Beside;
 use std::path::Path;
@@ -74,4 +74,15 @@ pub fn open_bytes_beside(
     sidecars: Vec<(String, Vec<u8>)>,
 ) -> Result<Box<dyn HeightSource>> {
     kind::open(Input::memory(name, bytes, Beside::Archive(sidecars.into())))
+}
+
+/// Reads samples that stand uncompressed in a file, little-endian, in rows `row_bytes` apart from byte `at` on. `info` says what
+/// they are; voids are those of its nodata value.
+///
+/// # Errors
+/// If the file is missing or too short, or there are too many posts.
+pub fn open_rows(path: &Path, info: SourceInfo, at: u64, row_bytes: u64) -> Result<Box<dyn HeightSource>> {
+    let sample_stride = info.sample_type.bytes() as u64;
+    let layout = raw::Layout { at, sample_stride, row_stride: row_bytes, big_endian: false };
+    Ok(Box::new(raw::RawGrid::new(info, Input::open(path)?, layout)?))
 }

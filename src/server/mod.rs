@@ -3,6 +3,7 @@
 //!
 //! - [`State`]: the database as it is now ([`Live`]), the threads that work for it ([`Pools`]);
 //! - `model`: messages become our types, once, at the edge; `status`: our errors become statuses;
+//! - `uploads`: samples as they arrive, until they are committed;
 //! - [`view`]: what clients hold, and what is sent to keep it in step;
 //! - `grpc`: one file a service of `proto/terraquilt/v1`;
 //! - [`start`]: listens, and stops gracefully.
@@ -17,6 +18,7 @@ mod pools;
 mod settings;
 mod state;
 mod status;
+mod uploads;
 pub mod view;
 
 pub use live::{Arrival, Live};
@@ -54,6 +56,7 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let stop = state.stop.clone();
     let stopped = stop.subscribe();
     state.live.follow(stopped.clone());
+    state.uploads.sweep_on(stopped.clone());
     let app = grpc::routes(&state);
     let until = |mut stopped: watch::Receiver<bool>| async move {
         let _ = stopped.wait_for(|s| *s).await;

@@ -2,17 +2,22 @@
 
 use super::State;
 use super::pools::Answer;
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::db::{Change, Outcome, Progress};
-use crate::wire::v1::OperationStatus;
 use crate::wire::v1::operation_status::State as Standing;
+use crate::wire::v1::{CommitReply, OperationStatus};
 use std::collections::{HashMap, VecDeque};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::Semaphore;
 use tonic::Status;
 
 /// Operations whose standing is remembered. Those that were committed are known to the catalog for ever.
 const REMEMBERED: usize = 4096;
+/// Commits that may wait for their turn.
+const QUEUED_MAX: usize = 256;
+/// Stage of an operation that was computed and not committed.
+pub const DRY_RUN: &str = "dry run: nothing was committed";
 
 #[derive(Default)]
 struct Book {
@@ -21,9 +26,15 @@ struct Book {
 }
 
 /// Where the commits that were asked for stand.
-#[derive(Default)]
 pub struct Operations {
     book: Mutex<Book>,
+    queue: Arc<Semaphore>,
+}
+
+impl Default for Operations {
+    fn default() -> Operations {
+        Operations { book: Mutex::default(), queue: Arc::new(Semaphore::new(QUEUED_MAX)) }
+    }
 }
 
 impl Operations {
@@ -59,40 +70,84 @@ pub fn made_id(what: &str) -> Answer<String> {
 }
 
 /// Carries out a change as one commit, after those that were asked for before, and makes its version the newest. The change
-/// is made by `change` when its turn comes, in the pool of arrivals.
+/// is made by `change` when its turn comes, in the pool of arrivals. What was asked for is carried out, whether the caller
+/// waits for it or not.
 pub async fn commit(
     state: &Arc<State>,
     id: String,
     dry_run: bool,
     change: impl FnOnce() -> Result<Change> + Send + 'static,
 ) -> Answer<Outcome> {
-    let at = |s: Standing| OperationStatus { operation: id.clone(), state: s as i32, ..Default::default() };
-    state.operations.note(at(Standing::Queued));
-    let (shared, operation) = (state.clone(), id.clone());
-    let done = state
-        .pools
-        .arrival(move || {
-            let report = |stage: &str, share: f64| {
-                shared.operations.note(OperationStatus {
-                    operation: operation.clone(),
-                    state: Standing::Running as i32,
-                    stage: stage.to_string(),
-                    share,
-                    ..Default::default()
-                });
-            };
-            report("waiting for the writer lock", 0.0);
-            let stop = AtomicBool::new(false);
-            let progress = Progress { report: &report, stop: &stop };
-            let outcome =
-                shared.live.db().change(change()?, Some(&operation), dry_run, &progress, &mut || {})?;
-            shared.live.look()?;
-            Ok::<_, Error>(outcome)
-        })
-        .await;
-    state.operations.note(match &done {
-        Ok(o) => OperationStatus { version: o.version, ..at(Standing::Done) },
-        Err(e) => OperationStatus { error: e.message().to_string(), ..at(Standing::Failed) },
+    let Ok(place) = state.operations.queue.clone().try_acquire_owned() else {
+        return Err(Status::resource_exhausted(format!(
+            "{QUEUED_MAX} commits wait already, no more are taken; try again when they are done"
+        )));
+    };
+    let at = |id: &str, s: Standing| OperationStatus {
+        operation: id.to_string(),
+        state: s as i32,
+        ..Default::default()
+    };
+    state.operations.note(at(&id, Standing::Queued));
+    let state = state.clone();
+    let task = tokio::spawn(async move {
+        let _place = place;
+        let (shared, operation) = (state.clone(), id.clone());
+        let done = state.pools.arrival(move || carry_out(&shared, &operation, dry_run, change)).await;
+        state.operations.note(match &done {
+            Ok(o) => {
+                let stage = if dry_run { DRY_RUN } else { "" };
+                OperationStatus {
+                    version: o.version,
+                    share: 1.0,
+                    stage: stage.into(),
+                    ..at(&id, Standing::Done)
+                }
+            }
+            Err(e) => OperationStatus { error: e.message().to_string(), ..at(&id, Standing::Failed) },
+        });
+        done
     });
-    done
+    task.await.unwrap_or_else(|_| Err(Status::unavailable("the server is stopping; try again")))
+}
+
+fn carry_out(
+    state: &State,
+    id: &str,
+    dry_run: bool,
+    change: impl FnOnce() -> Result<Change>,
+) -> Result<Outcome> {
+    let report = |stage: &str, share: f64| {
+        state.operations.note(OperationStatus {
+            operation: id.to_string(),
+            state: Standing::Running as i32,
+            stage: stage.to_string(),
+            share,
+            ..Default::default()
+        });
+    };
+    report("waiting for the writer lock", 0.0);
+    let stop = AtomicBool::new(false);
+    let progress = Progress { report: &report, stop: &stop };
+    let outcome = state.live.db().change(change()?, Some(id), dry_run, &progress, &mut || {})?;
+    state.live.look()?;
+    Ok(outcome)
+}
+
+/// What a commit did, as the wire says it.
+pub fn reply(outcome: &Outcome, operation: &str) -> CommitReply {
+    CommitReply {
+        version: outcome.version,
+        changed: outcome.changed,
+        survey: outcome.survey.clone(),
+        patches: outcome.patches,
+        live: outcome.live,
+        dormant: outcome.dormant,
+        posts: outcome.posts,
+        voids: outcome.voids,
+        seconds: outcome.seconds,
+        warnings: outcome.warnings.clone(),
+        json: serde_json::to_string(outcome).unwrap_or_default(),
+        operation: operation.to_string(),
+    }
 }

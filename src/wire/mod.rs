@@ -13,3 +13,19 @@ pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descrip
 pub const MESSAGE_BYTES: usize = 1 << 20;
 /// The largest message that is taken, whoever sends it.
 pub const MESSAGE_BYTES_MAX: usize = 4 << 20;
+
+impl v1::Grid {
+    /// Bytes of one row as it is sent: samples, and the mask behind them. `None`: the type is unknown, or there is no such row.
+    pub fn row_bytes(&self) -> Option<u64> {
+        use v1::SampleType as T;
+        let width = match T::try_from(self.sample_type).ok()? {
+            T::Unspecified => return None,
+            T::Uint8 | T::Int8 => 1,
+            T::Uint16 | T::Int16 => 2,
+            T::Uint32 | T::Int32 | T::Float32 => 4,
+            T::Float64 => 8,
+        };
+        let mask = if self.masked { self.cols.div_ceil(8) } else { 0 };
+        self.cols.checked_mul(width)?.checked_add(mask)
+    }
+}

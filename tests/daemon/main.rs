@@ -3,6 +3,12 @@
 
 /// Databases, servers and clients for these tests.
 mod support;
+/// Surveys as uploads.
+mod survey;
 
+/// Surveys arrive.
+mod arrivals;
+/// The server is killed while surveys arrive.
+mod killed;
 /// A server starts, answers and stops.
 mod serving;

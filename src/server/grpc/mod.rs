@@ -1,6 +1,9 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
+mod arrival;
+mod files;
 mod heights;
+mod ingest;
 mod outgoing;
 mod query;
 mod view;
@@ -27,6 +30,7 @@ pub fn routes(state: &Arc<State>) -> Router {
     let routes = Routes::new(v1)
         .add_service(heights)
         .add_service(QueryServer::new(query::QueryService::new(state.clone())))
+        .add_service(ingest::service(state))
         .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
     routes.into_axum_router()
 }

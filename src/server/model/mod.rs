@@ -4,6 +4,7 @@ pub mod heights;
 mod looser;
 mod parts;
 mod question;
+pub mod upload;
 
 pub use looser::looser;
 pub use parts::{frames, ground, mask, patch, set_hash, survey_frame};

@@ -1,11 +1,13 @@
 //! The catalog: versions, the files they name, and the constants of the database.
 //!
 //! A commit is one transaction, made after every file it names is synced. The trait is narrow so that a test can
-//! stop at it; [`sqlite`] is the implementation.
+//! stop at it; [`sqlite`] is the implementation. [`uploads`]: what is coming in and no commit yet, in a file of its own.
 
 mod sqlite;
+mod uploads;
 
 pub use sqlite::Sqlite;
+pub use uploads::{Upload, Uploads};
 
 use super::segment::PageRef;
 use crate::base::Result;

@@ -1,4 +1,4 @@
-//! The catalog in SQLite (WAL, synchronous = FULL); schema in `migrations/`.
+//! The catalog in SQLite (WAL, synchronous = FULL); schema in `migrations/catalog/`.
 
 use super::{Catalog, Commit, Contents, Counters, NamedFile, Version};
 use crate::base::bytes::Reader;
@@ -10,7 +10,7 @@ use std::path::Path;
 use std::time::Duration;
 
 mod embedded {
-    refinery::embed_migrations!("migrations");
+    refinery::embed_migrations!("migrations/catalog");
 }
 
 /// How long a reader waits for a writer's checkpoint, and a writer for a reader's.

@@ -1,0 +1,297 @@
+//! Surveys arrive: streams of samples, and files that the server can see.
+
+use super::arrival::{Told, blocking, done, follow, known, reply, settle};
+use super::files::files;
+use crate::base::Result;
+use crate::server::model::upload::{self, Said};
+use crate::server::operations;
+use crate::server::pools::Answer;
+use crate::server::state::State;
+use crate::server::status::status;
+use crate::server::uploads::staging::{self, Described, Staging};
+use crate::server::uploads::{Claimed, Listed};
+use crate::wire::v1::ingest_server::{Ingest, IngestServer};
+use crate::wire::v1::operation_status::State as Standing;
+use crate::wire::v1::upload_request::Kind;
+use crate::wire::{MESSAGE_BYTES_MAX, v1};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
+use tokio::time::timeout;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Code, Request, Response, Status, Streaming};
+
+/// Replies that wait for a client; one that does not read is waited for.
+const AHEAD: usize = 4;
+/// Samples are made durable when there are so many bytes of them, or after so long.
+const SYNC_BYTES: u64 = 8 << 20;
+const SYNC_AFTER: Duration = Duration::from_millis(250);
+/// How often an upload that is coming in says that it is alive.
+const TOUCH_EVERY: Duration = Duration::from_secs(10);
+/// Spans of rows in one reply.
+const SPANS_MAX: usize = 100_000;
+
+/// Takes surveys.
+pub struct Service {
+    state: Arc<State>,
+}
+
+/// The service `Ingest`.
+pub fn service(state: &Arc<State>) -> IngestServer<Service> {
+    IngestServer::new(Service { state: state.clone() })
+        .max_decoding_message_size(MESSAGE_BYTES_MAX)
+        .max_encoding_message_size(MESSAGE_BYTES_MAX)
+}
+
+type Replies = ReceiverStream<Answer<v1::UploadReply>>;
+
+#[tonic::async_trait]
+impl Ingest for Service {
+    type UploadStream = Replies;
+    type FilesStream = Replies;
+
+    async fn upload(
+        &self,
+        request: Request<Streaming<v1::UploadRequest>>,
+    ) -> Answer<Response<Self::UploadStream>> {
+        let state = self.state.clone();
+        let mut requests = request.into_inner();
+        Ok(stream(&self.state, |told| async move { receive(&state, &mut requests, &told).await }))
+    }
+
+    async fn files(&self, request: Request<v1::FilesRequest>) -> Answer<Response<Self::FilesStream>> {
+        let state = self.state.clone();
+        let request = request.into_inner();
+        Ok(stream(&self.state, |told| async move { files(&state, request, &told).await }))
+    }
+
+    async fn list_uploads(
+        &self,
+        _: Request<v1::ListUploadsRequest>,
+    ) -> Answer<Response<v1::ListUploadsReply>> {
+        let (uploads, version) = (self.state.uploads.clone(), self.state.live.newest().number());
+        let found = blocking(move || uploads.list()).await?;
+        let info = |u: Listed| v1::UploadInfo {
+            name: name(&u.header),
+            grids: u.header.grids.len() as u64,
+            rows: u.header.grids.iter().map(|g| g.rows).sum(),
+            operation: u.operation,
+            rows_received: u.rows_received,
+            touched_at_s: u.touched_at,
+            active: u.active,
+        };
+        let uploads = found.into_iter().map(info).collect();
+        Ok(Response::new(v1::ListUploadsReply { version, uploads }))
+    }
+
+    async fn abandon(&self, request: Request<v1::AbandonRequest>) -> Answer<Response<v1::AbandonReply>> {
+        let uploads = self.state.uploads.clone();
+        let operation = upload::operation(&request.into_inner().operation).map_err(status)?;
+        let abandoned = blocking(move || uploads.abandon(&operation)).await?;
+        Ok(Response::new(v1::AbandonReply { abandoned }))
+    }
+}
+
+/// Runs `work` beside the call, with a channel for its replies; what it ends with ends the stream.
+fn stream<F>(state: &State, work: impl FnOnce(Told) -> F) -> Response<Replies>
+where
+    F: Future<Output = Answer<()>> + Send + 'static,
+{
+    let (send, replies) = mpsc::channel(AHEAD);
+    let work = work(Told::new(send.clone(), state.settings.upload_idle));
+    tokio::spawn(async move {
+        if let Err(status) = work.await {
+            let _ = send.send(Err(status)).await;
+        }
+    });
+    Response::new(ReceiverStream::new(replies))
+}
+
+/// What a survey will be called, as far as it is said.
+fn name(h: &v1::UploadHeader) -> String {
+    use v1::upload_header::Target;
+    match &h.target {
+        Some(Target::Into(s) | Target::Replace(s)) => s.clone(),
+        None if !h.name.is_empty() => h.name.clone(),
+        None => h.grids.first().map_or_else(String::new, |g| g.name.clone()),
+    }
+}
+
+/// The next message of an upload; `None`: the stream ended.
+async fn next(
+    requests: &mut Streaming<v1::UploadRequest>,
+    within: Duration,
+    idle: Duration,
+) -> Answer<Option<Kind>> {
+    match timeout(within, requests.message()).await {
+        Err(_) => Err(Status::deadline_exceeded(format!(
+            "nothing was sent for {} s; what arrived is kept: call again with the same header",
+            idle.as_secs()
+        ))),
+        Ok(Err(e)) => Err(e),
+        Ok(Ok(None)) => Ok(None),
+        Ok(Ok(Some(v1::UploadRequest { kind: Some(kind) }))) => Ok(Some(kind)),
+        Ok(Ok(Some(v1::UploadRequest { kind: None }))) => {
+            Err(Status::invalid_argument("a message is neither header, block nor finish; see ingest.proto"))
+        }
+    }
+}
+
+/// Checks a header, and what it says against the newest version.
+async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<Arc<Said>> {
+    let live = state.live.clone();
+    let check = move || {
+        live.look()?;
+        let said = upload::said(&header, live.db().crs())?;
+        let sources = said.grids.iter().map(|g| Box::new(Described(g.info.clone())) as _).collect();
+        live.db().foresee(&live.newest(), &said.change(sources))?;
+        Ok(Arc::new(said))
+    };
+    state.pools.work(check).await
+}
+
+/// One upload, from its header to its commit.
+async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>, told: &Told) -> Answer<()> {
+    let idle = state.settings.upload_idle;
+    let header = match next(requests, idle, idle).await? {
+        Some(Kind::Header(header)) => header,
+        Some(_) => return Err(Status::invalid_argument("the first message of an upload is its header")),
+        None => return Err(Status::invalid_argument("the stream ended before a header came")),
+    };
+    let operation = upload::operation(&header.operation).map_err(status)?;
+    if let Some(commit) = known(state, &operation).await? {
+        return done(told, &operation, commit).await;
+    }
+    let said = check(state, header.clone()).await?;
+    let (uploads, h, id) = (state.uploads.clone(), header.clone(), operation.clone());
+    let claimed = blocking(move || {
+        uploads.compare(&h)?;
+        uploads.claim(&id)
+    });
+    let claim = match claimed.await? {
+        Claimed::Mine(claim) => claim,
+        Claimed::Committing(ending) => return follow(state, &operation, ending, told).await,
+    };
+    let (uploads, s) = (state.uploads.clone(), said.clone());
+    let opened = blocking(move || uploads.open(&claim, &header, &s).map(|staging| (claim, staging)));
+    let (claim, staging) = opened.await?;
+    let first = v1::UploadReply {
+        received: staging.rows().spans(true, SPANS_MAX),
+        kept_s: state.settings.uploads_kept.as_secs(),
+        ..reply(&operation, Standing::Uploading)
+    };
+    told.tell(first).await?;
+
+    let staging = Arc::new(Mutex::new(staging));
+    let finish = match blocks(state, requests, told, &said, &staging).await {
+        Ok(finish) => finish,
+        Err(e) => {
+            // What arrived is kept, also of a stream that broke.
+            on_disk(&staging, Staging::sync).await?;
+            return Err(e);
+        }
+    };
+    let hashes = hashes(&finish, said.grids.len()).map_err(status)?;
+    let spans = on_disk(&staging, |s| {
+        let spans = s.sync()?;
+        s.complete().map(|()| spans)
+    });
+    let spans = spans.await?;
+    if !spans.is_empty() {
+        let last = v1::UploadReply { received: spans, share: 1.0, ..reply(&operation, Standing::Uploading) };
+        told.tell(last).await?;
+    }
+    let ending = settle(claim, |claim| {
+        let state = state.clone();
+        async move {
+            let (s, checked) = (said.clone(), staging.clone());
+            let prepare = move || {
+                let mut staging = checked.lock().unwrap_or_else(PoisonError::into_inner);
+                staging.check_hashes(&hashes)?;
+                Ok(s.change(staging.sources()?))
+            };
+            let change = state.pools.arrival(prepare).await?;
+            let (id, dry_run) = (said.operation.clone(), said.dry_run);
+            let outcome = operations::commit(&state, id.clone(), dry_run, move || Ok(change)).await?;
+            if !dry_run {
+                let uploads = state.uploads.clone();
+                // If this fails, the next sweep does it.
+                if let Err(e) = blocking(move || uploads.remove(&claim)).await {
+                    tracing::warn!("upload '{id}' is committed, its samples were not removed: {e}");
+                }
+            }
+            Ok(operations::reply(&outcome, &id))
+        }
+    });
+    follow(state, &operation, ending, told).await
+}
+
+fn hashes(finish: &v1::UploadFinish, grids: usize) -> Result<Vec<Option<[u8; 32]>>> {
+    if !finish.hashes.is_empty() && finish.hashes.len() != grids {
+        let reason = format!("{} for {grids} grids; give one for each, or none", finish.hashes.len());
+        return Err(crate::base::Error::invalid("finish.hashes", reason));
+    }
+    finish.hashes.iter().map(|h| upload::hash("finish.hashes", h)).collect()
+}
+
+type Shared = Arc<Mutex<Staging>>;
+
+/// Reads or writes what was staged, on a thread that may wait for the disk.
+async fn on_disk<T: Send + 'static>(
+    staging: &Shared,
+    f: impl FnOnce(&mut Staging) -> Result<T> + Send + 'static,
+) -> Answer<T> {
+    let staging = staging.clone();
+    blocking(move || f(&mut staging.lock().unwrap_or_else(PoisonError::into_inner))).await
+}
+
+/// Takes blocks until `finish` comes, and tells what is durable. Holds one block at a time.
+async fn blocks(
+    state: &Arc<State>,
+    requests: &mut Streaming<v1::UploadRequest>,
+    told: &Told,
+    said: &Arc<Said>,
+    staging: &Shared,
+) -> Answer<v1::UploadFinish> {
+    let idle = state.settings.upload_idle;
+    let (mut heard, mut synced, mut touched) = (Instant::now(), Instant::now(), Instant::now());
+    let mut fresh_bytes = 0;
+    loop {
+        // While the next block is waited for, what is there becomes durable.
+        let until_sync = if fresh_bytes > 0 { SYNC_AFTER.saturating_sub(synced.elapsed()) } else { idle };
+        let left = idle.saturating_sub(heard.elapsed());
+        match next(requests, until_sync.min(left), idle).await {
+            Err(e) if e.code() == Code::DeadlineExceeded && heard.elapsed() < idle => {}
+            Err(e) => return Err(e),
+            Ok(Some(Kind::Finish(finish))) => return Ok(finish),
+            Ok(Some(Kind::Block(block))) => {
+                heard = Instant::now();
+                let s = said.clone();
+                let block = state.pools.work(move || staging::unpack(&block, &s.grids)).await?;
+                let written = on_disk(staging, move |s| s.write(&block).map(|()| s.fresh_bytes()));
+                fresh_bytes = written.await?;
+            }
+            Ok(Some(Kind::Header(_))) => {
+                return Err(Status::invalid_argument("an upload has one header; a second one came"));
+            }
+            Ok(None) => {
+                return Err(Status::failed_precondition(
+                    "the stream ended without `finish`; what arrived is kept: call again with the same header",
+                ));
+            }
+        }
+        if fresh_bytes >= SYNC_BYTES || (fresh_bytes > 0 && synced.elapsed() >= SYNC_AFTER) {
+            let durable = on_disk(staging, |s| s.sync().map(|spans| (spans, s.rows().there())));
+            let (received, there) = durable.await?;
+            (synced, fresh_bytes) = (Instant::now(), 0);
+            let share = there as f64 / said.rows as f64;
+            told.tell(v1::UploadReply { received, share, ..reply(&said.operation, Standing::Uploading) })
+                .await?;
+        }
+        if touched.elapsed() >= TOUCH_EVERY {
+            touched = Instant::now();
+            let (uploads, id) = (state.uploads.clone(), said.operation.clone());
+            blocking(move || uploads.touch(&id)).await?;
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! The catalog of uploads in progress: a small SQLite file of its own beside their folders (decision 15).
+//!
+//! The catalog of the database is written by the holder of the writer lock only, and a commit holds that for as long as it
+//! takes; uploads come and go meanwhile. This one needs no lock: every change is one transaction.
+
+use crate::base::{Error, Result};
+use rusqlite::{Connection, OptionalExtension, TransactionBehavior, params};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+mod embedded {
+    refinery::embed_migrations!("migrations/uploads");
+}
+
+/// How long a change waits for another process.
+const BUSY: Duration = Duration::from_secs(30);
+
+/// An upload in progress.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Upload {
+    /// The caller's id.
+    pub operation: String,
+    /// The message that began it.
+    pub header: Vec<u8>,
+    /// Room that its folder may take in the end, bytes.
+    pub bytes: u64,
+    /// Seconds since 1970 UTC of the last sign of life.
+    pub touched_at: i64,
+}
+
+/// The catalog of uploads in progress.
+pub struct Uploads {
+    db: Connection,
+    path: PathBuf,
+}
+
+impl Uploads {
+    /// Opens the catalog, or makes an empty one.
+    pub fn open(path: &Path) -> Result<Uploads> {
+        let wrong = |e: &dyn std::fmt::Display| Error::Io {
+            path: path.to_path_buf(),
+            source: std::io::Error::other(format!(
+                "{e}; without this file the uploads in progress are lost, and nothing else"
+            )),
+        };
+        let mut db = Connection::open(path).map_err(|e| wrong(&e))?;
+        db.busy_timeout(BUSY).map_err(|e| wrong(&e))?;
+        embedded::migrations::runner().run(&mut db).map_err(|e| wrong(&e))?;
+        Ok(Uploads { db, path: path.to_path_buf() })
+    }
+
+    fn wrong(&self, e: rusqlite::Error) -> Error {
+        Error::Io { path: self.path.clone(), source: std::io::Error::other(e.to_string()) }
+    }
+
+    /// Every upload in progress, by operation.
+    pub fn all(&self) -> Result<Vec<Upload>> {
+        let read = || {
+            let mut q = self.db.prepare_cached(
+                "SELECT operation, header, bytes, touched_at FROM upload ORDER BY operation",
+            )?;
+            q.query_map([], upload_of)?.collect::<rusqlite::Result<_>>()
+        };
+        read().map_err(|e| self.wrong(e))
+    }
+
+    /// One upload.
+    pub fn get(&self, operation: &str) -> Result<Option<Upload>> {
+        let sql = "SELECT operation, header, bytes, touched_at FROM upload WHERE operation = ?1";
+        self.db.query_row(sql, [operation], upload_of).optional().map_err(|e| self.wrong(e))
+    }
+
+    /// Adds an upload that is not there.
+    ///
+    /// # Errors
+    /// If there would be more uploads than `most`, or more than `most_bytes` bytes of them.
+    pub fn add(&mut self, upload: &Upload, most: u64, most_bytes: u64) -> Result<()> {
+        let path = self.path.clone();
+        let wrong = |e: rusqlite::Error| Error::Io {
+            path: path.clone(),
+            source: std::io::Error::other(e.to_string()),
+        };
+        let tx = self.db.transaction_with_behavior(TransactionBehavior::Immediate).map_err(wrong)?;
+        let (count, bytes): (i64, i64) = tx
+            .query_row("SELECT count(*), coalesce(sum(bytes), 0) FROM upload", [], |r| {
+                Ok((r.get(0)?, r.get(1)?))
+            })
+            .map_err(wrong)?;
+        if count as u64 >= most {
+            return Err(Error::limit("uploads in progress", most, count as u64 + 1));
+        }
+        let wanted = (bytes as u64).saturating_add(upload.bytes);
+        if wanted > most_bytes {
+            return Err(Error::limit("bytes of uploads in progress", most_bytes, wanted));
+        }
+        tx.execute(
+            "INSERT INTO upload VALUES (?1, ?2, ?3, ?4)",
+            params![upload.operation, upload.header, upload.bytes as i64, upload.touched_at],
+        )
+        .map_err(wrong)?;
+        tx.commit().map_err(wrong)
+    }
+
+    /// Notes a sign of life.
+    pub fn touch(&self, operation: &str, at: i64) -> Result<()> {
+        let sql = "UPDATE upload SET touched_at = ?2 WHERE operation = ?1";
+        self.db.execute(sql, params![operation, at]).map(|_| ()).map_err(|e| self.wrong(e))
+    }
+
+    /// Forgets an upload. Returns whether it was there.
+    pub fn remove(&self, operation: &str) -> Result<bool> {
+        let gone = self.db.execute("DELETE FROM upload WHERE operation = ?1", [operation]);
+        gone.map(|n| n > 0).map_err(|e| self.wrong(e))
+    }
+}
+
+fn upload_of(row: &rusqlite::Row) -> rusqlite::Result<Upload> {
+    Ok(Upload {
+        operation: row.get(0)?,
+        header: row.get(1)?,
+        bytes: row.get::<_, i64>(2)? as u64,
+        touched_at: row.get(3)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uploads_are_kept_and_limited() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("catalog.sqlite");
+        let upload = |operation: &str, bytes| Upload {
+            operation: operation.into(),
+            header: vec![1, 2],
+            bytes,
+            touched_at: 5,
+        };
+        let mut first = Uploads::open(&path).unwrap();
+        first.add(&upload("b", 10), 3, 100).unwrap();
+        let mut second = Uploads::open(&path).unwrap();
+        second.add(&upload("a", 20), 3, 100).unwrap();
+        assert_eq!(first.all().unwrap(), [upload("a", 20), upload("b", 10)]);
+        assert!(first.add(&upload("a", 1), 3, 100).is_err(), "it is there");
+        let e = first.add(&upload("c", 71), 3, 100).unwrap_err().to_string();
+        assert!(e.contains("101") && e.contains("100"), "{e}");
+        first.add(&upload("c", 70), 3, 100).unwrap();
+        let e = first.add(&upload("d", 0), 3, 100).unwrap_err().to_string();
+        assert!(e.contains("4") && e.contains("3"), "{e}");
+        second.touch("b", 9).unwrap();
+        assert_eq!(first.get("b").unwrap().unwrap().touched_at, 9);
+        assert!(first.remove("b").unwrap() && !second.remove("b").unwrap());
+        assert_eq!(second.get("b").unwrap(), None);
+    }
+}
