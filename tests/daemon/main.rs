@@ -8,6 +8,8 @@ mod survey;
 
 /// Surveys arrive.
 mod arrivals;
+/// What clients see while surveys arrive is what the database holds.
+mod history;
 /// The server is killed while surveys arrive.
 mod killed;
 /// A server starts, answers and stops.
