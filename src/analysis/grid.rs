@@ -50,7 +50,7 @@ impl Grid {
         step: Option<[f64; 2]>,
         side_max: Option<usize>,
     ) -> Result<Grid> {
-        let all = terrains.iter().filter_map(|t| t.snapshot.bounds());
+        let all = terrains.iter().filter_map(|t| t.ground.bounds());
         let b = match area.bounds() {
             Some(b) => b,
             None => all
@@ -62,7 +62,7 @@ impl Grid {
         if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
             return Err(Error::invalid("region", format!("{b:?} is empty; give xmin,ymin,xmax,ymax")));
         }
-        let unit = terrains[0].snapshot.crs().unit;
+        let unit = terrains[0].ground.crs().unit;
         let (corner, step) = match step {
             Some(s) if s.iter().all(|v| v.is_finite() && *v > 0.0) => ([b[0], b[3]], s),
             Some(s) => return Err(Error::invalid("--step", format!("{s:?}; it must be positive"))),
@@ -194,16 +194,11 @@ impl Grid {
 /// A post and the steps of the finest survey in the box.
 fn natural(terrains: &[&Terrain], b: [f64; 4]) -> Option<([f64; 2], [f64; 2])> {
     let found = terrains.iter().filter_map(|t| Some((t, t.finest(b)?)));
-    let (t, n) = found.min_by(|(a, m), (b, n)| {
-        let area = |t: &Terrain, n| {
-            t.snapshot
-                .survey_by_number(n)
-                .map_or(f64::INFINITY, |e| e.geometry.steps[0] * e.geometry.steps[1])
-        };
-        area(a, *m).total_cmp(&area(b, *n))
+    let (t, g) = found.min_by(|(_, m), (_, n)| {
+        let area = |s: [f64; 2]| s[0] * s[1];
+        area(m.steps).total_cmp(&area(n.steps))
     })?;
-    let g = &t.snapshot.survey_by_number(n).ok()?.geometry;
-    let size = t.snapshot.unit().size();
+    let size = t.ground.unit().size();
     let f = &g.frame;
     let upright = f.u.y == 0 && f.v.x == 0;
     let turned = f.u.x == 0 && f.v.y == 0;
@@ -212,7 +207,7 @@ fn natural(terrains: &[&Terrain], b: [f64; 4]) -> Option<([f64; 2], [f64; 2])> {
         return Some(([b[0], b[3]], step));
     }
     // The post nearest to the north-west corner: counting from the CRS origin would lose digits.
-    let unit = t.snapshot.unit();
+    let unit = t.ground.unit();
     let near = crate::base::lattice::Point::new(unit.round(b[0])?, unit.round(b[3])?);
     let (i, j) = f.index(near);
     let post = f.post(i.round() as i64, j.round() as i64);

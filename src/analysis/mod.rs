@@ -12,6 +12,7 @@
 mod contours;
 mod dissolve;
 mod grid;
+mod ground;
 mod profile;
 mod shape;
 mod sight;
@@ -22,6 +23,7 @@ mod volume;
 pub use contours::{Contour, Contours, Levels, contours};
 pub use dissolve::{Piece, dissolve};
 pub use grid::{Grid, Spot};
+pub use ground::{Ground, Posts};
 pub use profile::{Station, Stations, line_length_m, profile};
 pub use shape::{Shape, Sun};
 pub use sight::{End, Ray, Sight, SightOptions, Verdict, sight};

@@ -71,10 +71,9 @@ impl Stations {
             let bounds = [a[0].min(b[0]), a[1].min(b[1]), a[0].max(b[0]), a[1].max(b[1])];
             let step = match (step_m, terrain.finest(bounds)) {
                 (Some(s), _) => s,
-                (None, Some(n)) => {
-                    let steps = terrain.snapshot.survey_by_number(n)?.geometry.steps;
+                (None, Some(posts)) => {
                     let k = terrain.scale(a);
-                    (steps[0] * k[0]).min(steps[1] * k[1]) * part
+                    (posts.steps[0] * k[0]).min(posts.steps[1] * k[1]) * part
                 }
                 // No survey near: the ends are enough.
                 (None, None) => length,
@@ -90,7 +89,7 @@ impl Stations {
         if segments.is_empty() {
             return Err(Error::invalid("line", "all its points are the same"));
         }
-        let unit = terrain.snapshot.crs().unit;
+        let unit = terrain.ground.crs().unit;
         Ok(Stations { unit, segments, count: count as u64, segment: 0, step: 0, last: None })
     }
 

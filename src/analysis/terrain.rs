@@ -1,16 +1,16 @@
 //! One state of the ground, as it is asked.
 
+use super::ground::{Ground, Posts};
 use crate::base::{Error, Result};
+use crate::db::metres_per_unit;
 use crate::db::query::{Query, Tolerance};
-use crate::db::{Snapshot, metres_per_unit};
 use crate::height::crs::AxisUnit;
-use crate::height::lod::SurveyNumber;
 use crate::height::surface::{Evaluation, How};
 
 /// A version (or some of its surveys), how much error is allowed, and how patches are blended.
 #[derive(Clone)]
 pub struct Terrain<'a> {
-    pub snapshot: &'a Snapshot,
+    pub ground: &'a dyn Ground,
     pub tolerance: Tolerance,
     pub how: How,
 }
@@ -20,51 +20,50 @@ impl<'a> Terrain<'a> {
     ///
     /// # Errors
     /// If a camera's tolerance meets a database in degrees.
-    pub fn new(snapshot: &'a Snapshot, query: &Query) -> Result<Terrain<'a>> {
-        if let (Tolerance::Camera(_), AxisUnit::Degree) = (&query.tolerance, snapshot.crs().unit) {
+    pub fn new(ground: &'a dyn Ground, query: &Query) -> Result<Terrain<'a>> {
+        if let (Tolerance::Camera(_), AxisUnit::Degree) = (&query.tolerance, ground.crs().unit) {
             return Err(Error::unsupported(
-                &snapshot.crs().code,
+                &ground.crs().code,
                 "a camera needs metres, and this database is in degrees",
                 "ask with --error M",
             ));
         }
-        Ok(Terrain { snapshot, tolerance: query.tolerance.clone(), how: query.how })
+        Ok(Terrain { ground, tolerance: query.tolerance.clone(), how: query.how })
     }
 
     pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        self.snapshot.heights(points, &self.tolerance, self.how)
+        self.ground.heights(points, &self.tolerance, self.how)
     }
 
     /// Heights with gradients, metres per CRS unit.
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        self.snapshot.slopes(points, &self.tolerance, self.how)
+        self.ground.slopes(points, &self.tolerance, self.how)
     }
 
     /// Metres of one CRS unit in x and y at a point: a degree is as long as it is there.
     pub fn scale(&self, at: [f64; 2]) -> [f64; 2] {
-        metres_per_unit(self.snapshot.crs().unit, at)
+        metres_per_unit(self.ground.crs().unit, at)
     }
 
     /// Length in metres of a short step.
     pub fn distance_m(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
-        distance_m(self.snapshot.crs().unit, a, b)
+        distance_m(self.ground.crs().unit, a, b)
     }
 
     /// The survey with the smallest cells among those whose box meets `bounds`; of equal ones the first.
-    pub fn finest(&self, bounds: [f64; 4]) -> Option<SurveyNumber> {
-        let size = self.snapshot.unit().size();
-        self.snapshot
-            .entries()
-            .filter(|e| {
-                let b = e.geometry.bounds();
+    pub fn finest(&self, bounds: [f64; 4]) -> Option<Posts<'a>> {
+        let size = self.ground.unit().size();
+        self.ground
+            .posts()
+            .filter(|p| {
+                let b = p.bounds();
                 let (lo, hi) = ([b.min.x, b.min.y], [b.max.x, b.max.y]);
                 (0..2).all(|k| lo[k] as f64 * size <= bounds[k + 2] && hi[k] as f64 * size >= bounds[k])
             })
             .min_by(|a, b| {
                 let area = |s: [f64; 2]| s[0] * s[1];
-                area(a.geometry.steps).total_cmp(&area(b.geometry.steps)).then(a.number.cmp(&b.number))
+                area(a.steps).total_cmp(&area(b.steps)).then(a.number.cmp(&b.number))
             })
-            .map(|e| e.number)
     }
 }
 

@@ -152,6 +152,6 @@ pub fn volumes(
 /// The coarsest step of all surveys of some states, metres.
 fn coarsest_m(terrains: &[&Terrain], grid: &Grid) -> f64 {
     let k = terrains[0].scale(grid.centre(grid.cols / 2, grid.rows / 2));
-    let steps = terrains.iter().flat_map(|t| t.snapshot.entries()).map(|e| e.geometry.steps);
+    let steps = terrains.iter().flat_map(|t| t.ground.posts()).map(|p| p.steps);
     steps.map(|s| (s[0] * k[0]).max(s[1] * k[1])).fold(0.0, f64::max)
 }

@@ -2,10 +2,11 @@
 
 use super::output::message;
 use super::place::{Coords, Place};
+use super::reader::Reader;
 use super::tolerance::read_raster;
+use crate::analysis::Ground;
 use crate::base::{Error, Result};
 use crate::db::query::{Query, Tolerance};
-use crate::db::{Db, Snapshot};
 use crate::height::lod::cut::{Camera, Foci, Focus};
 use crate::height::surface::{Blend, How, Seams};
 use clap::{Args, ValueEnum};
@@ -15,7 +16,7 @@ use std::sync::Arc;
 /// The database and which version of it to read.
 #[derive(Args)]
 pub struct Source {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     pub db: PathBuf,
     /// Read this version instead of the latest
     #[arg(long, value_name = "VERSION")]
@@ -26,10 +27,8 @@ pub struct Source {
 }
 
 impl Source {
-    pub fn open(&self) -> Result<(Db, Snapshot)> {
-        let db = Db::open(&self.db)?;
-        let snapshot = db.snapshot(self.at)?;
-        Ok((db, snapshot))
+    pub fn open(&self) -> Result<Reader> {
+        Reader::open(&self.db, self.at)
     }
 }
 
@@ -55,18 +54,18 @@ pub struct CoordsArg {
 }
 
 impl CoordsArg {
-    pub fn get(&self, s: &Snapshot) -> Result<Option<Coords>> {
-        Coords::of(self.coords.as_deref(), s)
+    pub fn get(&self, s: &dyn Ground) -> Result<Option<Coords>> {
+        Coords::of(self.coords.as_deref(), s.crs())
     }
 }
 
 impl Region {
-    pub fn place(&self, s: &Snapshot) -> Result<Place> {
+    pub fn place(&self, s: &dyn Ground) -> Result<Place> {
         let coords = self.coords.get(s)?;
         if let Some(path) = &self.polygon {
-            return Place::of_file(path, coords, s);
+            return Place::of_file(path, coords, s.crs(), s.bounds());
         }
-        let Some(text) = &self.bbox else { return Ok(Place::everywhere(coords, s)) };
+        let Some(text) = &self.bbox else { return Ok(Place::everywhere(coords, s.bounds())) };
         let b: [f64; 4] = numbers("--bbox", text)?;
         if b[0] >= b[2] || b[1] >= b[3] {
             return Err(Error::invalid(
@@ -155,7 +154,7 @@ impl ToleranceArgs {
     }
 
     /// `coords`: what points are given in, if not in the database's CRS.
-    pub fn get(&self, s: &Snapshot, coords: Option<&Coords>) -> Result<Tolerance> {
+    pub fn get(&self, s: &dyn Ground, coords: Option<&Coords>) -> Result<Tolerance> {
         let inside = |what: &str, p: [f64; 2]| coords.map_or(Ok(p), |c| c.inside(what, p));
         if let Some(e) = self.error {
             if e.is_nan() || e < 0.0 {
@@ -164,7 +163,7 @@ impl ToleranceArgs {
             return Ok(Tolerance::Constant(e));
         }
         if let Some(path) = &self.error_raster {
-            return Ok(Tolerance::Raster(Arc::new(read_raster(path, s)?)));
+            return Ok(Tolerance::Raster(Arc::new(read_raster(path, s.crs())?)));
         }
         if !self.focus.is_empty() {
             let one = |text: &String| {
@@ -199,7 +198,7 @@ impl ToleranceArgs {
     }
 
     /// The question at a place.
-    pub fn query(&self, place: &Place, s: &Snapshot, seams: Seams) -> Result<Query> {
+    pub fn query(&self, place: &Place, s: &dyn Ground, seams: Seams) -> Result<Query> {
         let tolerance = self.get(s, place.coords.as_ref())?;
         if let (Tolerance::Raster(r), Some(b)) = (&tolerance, place.area.bounds().or_else(|| s.bounds()))
             && [[b[0], b[1]], [b[2], b[1]], [b[2], b[3]], [b[0], b[3]]].iter().any(|p| !r.covers(*p))

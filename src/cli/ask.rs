@@ -4,13 +4,16 @@ use super::args::{CoordsArg, Region, Source, ToleranceArgs, numbers};
 use super::output::{Output, count, message, table};
 use super::place::whereabouts;
 use super::points::{Points, quoted, read_points};
+use super::reader::{Needed, Reader};
+use crate::analysis::{Ground, Posts};
 use crate::base::{Error, Result};
-use crate::db::query::{Query, difference, set_hash};
-use crate::db::{self, Snapshot};
+use crate::db::query::{difference, set_hash};
+use crate::height::lod::SurveyNumber;
 use crate::height::surface::{Evaluation, Seams};
 use crate::store::quadtree::Record;
 use clap::Args;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// List what is in the database
@@ -23,8 +26,7 @@ pub struct Surveys {
 
 impl Surveys {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let rows = db::surveys(&s)?;
+        let rows = self.source.open()?.surveys()?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&rows)?;
@@ -89,21 +91,10 @@ pub struct Tiles {
 
 impl Tiles {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let entry = s.survey(&self.survey)?;
-        let head = s.head(entry.number)?;
+        let tiles = self.source.open()?.tiles(&self.survey)?;
         let mut out = Output::new();
-        let mut tiles: Vec<_> = head.tiles.iter().collect();
-        tiles.sort_by(|a, b| a.file.cmp(&b.file).then(a.key.cmp(&b.key)));
         if self.source.json {
-            let rows: Vec<Value> = tiles
-                .iter()
-                .map(|t| {
-                    json!({"key": t.id(), "file": t.file, "first": [t.posts.i0, t.posts.j0], "cols": t.posts.width(),
-                           "rows": t.posts.height(), "valid": t.valid, "z_min": t.z[0], "z_max": t.z[1]})
-                })
-                .collect();
-            out.json(&rows)?;
+            out.json(&tiles)?;
             return out.end();
         }
         let rows: Vec<Vec<String>> = tiles
@@ -111,11 +102,11 @@ impl Tiles {
             .map(|t| {
                 vec![
                     t.file.clone(),
-                    t.id()[..12].to_string(),
-                    format!("{} x {}", t.posts.width(), t.posts.height()),
-                    format!("{}, {}", t.posts.i0, t.posts.j0),
+                    t.key[..12.min(t.key.len())].to_string(),
+                    format!("{} x {}", t.cols, t.rows),
+                    format!("{}, {}", t.first[0], t.first[1]),
                     count(t.valid),
-                    format!("{} .. {}", t.z[0], t.z[1]),
+                    format!("{} .. {}", t.z_min, t.z_max),
                 ]
             })
             .collect();
@@ -128,7 +119,7 @@ impl Tiles {
 #[derive(Args)]
 #[command(after_help = "Example:\n  terraquilt versions hills\nReading commands take --at VERSION.")]
 pub struct Versions {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -137,19 +128,14 @@ pub struct Versions {
 
 impl Versions {
     pub fn run(self) -> Result<bool> {
-        let db = db::Db::open(&self.db)?;
-        let versions = db.versions()?;
+        let versions = Reader::open(&self.db, None)?.versions()?;
         let mut out = Output::new();
         if self.json {
-            let rows: Vec<Value> = versions
-                .iter()
-                .map(|v| json!({"version": v.number, "made_at": v.made_at, "action": v.action, "operation": v.operation}))
-                .collect();
-            out.json(&rows)?;
+            out.json(&versions)?;
             return out.end();
         }
         let rows: Vec<Vec<String>> =
-            versions.iter().map(|v| vec![v.number.to_string(), utc(v.made_at), v.action.clone()]).collect();
+            versions.iter().map(|v| vec![v.version.to_string(), utc(v.made_at), v.action.clone()]).collect();
         table(&["version", "made (UTC)", "action"], &rows, &mut out)?;
         out.end()
     }
@@ -189,32 +175,39 @@ pub struct Patches {
 
 impl Patches {
     pub fn run(self) -> Result<bool> {
-        let (db, s) = self.source.open()?;
-        let place = self.region.place(&s)?;
-        let query = self.tolerance.query(&place, &s, Seams::Off)?;
-        if s.select(&query)?.records.is_empty() {
-            message(&format!("note: nothing lies there; {}", whereabouts(&s, place.coords.as_ref())));
+        let r = self.source.open()?;
+        let s = r.ground()?;
+        let place = self.region.place(s)?;
+        let query = self.tolerance.query(&place, s, Seams::Off)?;
+        let found = r.select(&query)?;
+        if found.records.is_empty() {
+            let there = whereabouts(s.crs(), s.bounds(), place.coords.as_ref());
+            message(&format!("note: nothing lies there; {there}"));
         }
         match self.since {
-            Some(v) => self.difference(&s, &db.snapshot(Some(v))?, &query),
-            None => self.list(&s, &query),
+            Some(v) => {
+                let before = r.at(Some(v))?;
+                self.difference(s, &before.select(&query)?, &found)
+            }
+            None => self.list(s, &found),
         }
     }
 
-    fn list(&self, s: &Snapshot, query: &Query) -> Result<bool> {
-        let found = s.select(query)?;
+    fn list(&self, s: &dyn Ground, found: &Needed) -> Result<bool> {
+        let posts = by_number(s);
         let mut out = Output::new();
         if self.source.json {
-            let patches = found.records.iter().map(|r| patch(s, r)).collect::<Result<Vec<Value>>>()?;
+            let patches =
+                found.records.iter().map(|r| patch(s, &posts, r)).collect::<Result<Vec<Value>>>()?;
             out.json(&json!({
                 "version": found.version, "count": patches.len(), "set": set_hash(&found.records), "patches": patches,
                 "nodes_visited": found.nodes, "records_tested": found.tested,
             }))?;
             return out.end();
         }
-        let mut by: std::collections::BTreeMap<(String, u8), (u64, f32, f32)> = Default::default();
+        let mut by: BTreeMap<(String, u8), (u64, f32, f32)> = Default::default();
         for r in &found.records {
-            let name = s.survey_by_number(r.survey)?.name.clone();
+            let name = survey_of(&posts, r)?.name.to_string();
             let e = by.entry((name, r.place.level)).or_insert((0, f32::INFINITY, 0.0));
             *e = (e.0 + 1, e.1.min(r.bot), e.2.max(r.bot));
         }
@@ -234,12 +227,12 @@ impl Patches {
         out.end()
     }
 
-    fn difference(&self, s: &Snapshot, before: &Snapshot, query: &Query) -> Result<bool> {
-        let (old, new) = (before.select(query)?, s.select(query)?);
+    fn difference(&self, s: &dyn Ground, old: &Needed, new: &Needed) -> Result<bool> {
+        let posts = by_number(s);
         let d = difference(&old.records, &new.records);
         let mut out = Output::new();
         if self.source.json {
-            let added = d.added.iter().map(|r| patch(s, r)).collect::<Result<Vec<Value>>>()?;
+            let added = d.added.iter().map(|r| patch(s, &posts, r)).collect::<Result<Vec<Value>>>()?;
             let changed: Vec<Value> = d
                 .changed
                 .iter()
@@ -247,15 +240,15 @@ impl Patches {
                 .collect();
             let removed: Vec<String> = d.removed.iter().map(|r| r.id.to_string()).collect();
             out.json(&json!({
-                "from": before.number(), "to": s.number(), "added": added, "removed": removed, "changed": changed,
+                "from": old.version, "to": new.version, "added": added, "removed": removed, "changed": changed,
                 "set": set_hash(&new.records),
             }))?;
             return out.end();
         }
         out.line(format!(
             "from version {} to {}: {} added, {} removed, {} with another top or floor, {} unchanged",
-            before.number(),
-            s.number(),
+            old.version,
+            new.version,
             count(d.added.len() as u64),
             count(d.removed.len() as u64),
             count(d.changed.len() as u64),
@@ -269,16 +262,25 @@ fn finite(v: f32) -> Option<f32> {
     v.is_finite().then_some(v)
 }
 
-fn patch(s: &Snapshot, r: &Record) -> Result<Value> {
-    let e = s.survey_by_number(r.survey)?;
-    let g = &e.geometry;
+fn by_number(s: &dyn Ground) -> BTreeMap<SurveyNumber, Posts<'_>> {
+    s.posts().map(|p| (p.number, p)).collect()
+}
+
+fn survey_of<'a>(posts: &'a BTreeMap<SurveyNumber, Posts>, r: &Record) -> Result<&'a Posts<'a>> {
+    posts.get(&r.survey).ok_or_else(|| {
+        Error::corrupt("tree", format!("patch {}", r.id), "is of no survey; run `terraquilt verify`")
+    })
+}
+
+fn patch(s: &dyn Ground, posts: &BTreeMap<SurveyNumber, Posts>, r: &Record) -> Result<Value> {
+    let g = survey_of(posts, r)?;
     let size = s.unit().size();
     let domain = r.place.domain();
     let quad = g.frame.quad(&domain).0.map(|p| [p.x as f64 * size, p.y as f64 * size]);
     let center = [0, 1].map(|k| quad.iter().map(|p| p[k]).sum::<f64>() / 4.0);
     let half = [g.steps[0] * domain.width() as f64 / 2.0, g.steps[1] * domain.height() as f64 / 2.0];
     Ok(json!({
-        "id": r.id.to_string(), "survey": e.name, "level": r.place.level, "index": [r.place.i, r.place.j],
+        "id": r.id.to_string(), "survey": g.name, "level": r.place.level, "index": [r.place.i, r.place.j],
         "center": center, "half": half, "angle_deg": (g.frame.u.y as f64).atan2(g.frame.u.x as f64).to_degrees(),
         "domain": quad, "error_m": r.bot, "top_m": finite(r.top), "floor": r.floor,
     }))
@@ -312,7 +314,8 @@ pub struct Heights {
 
 impl Heights {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
         let points = match &self.points {
             Some(f) => read_points(f)?,
             None if self.at_points.is_empty() => {
@@ -323,12 +326,12 @@ impl Heights {
                 table: None,
             },
         };
-        let coords = self.coords.get(&s)?;
+        let coords = self.coords.get(s)?;
         let inside: Vec<[f64; 2]> = match &coords {
             Some(c) => points.xy.iter().map(|p| c.inside("point", *p)).collect::<Result<_>>()?,
             None => points.xy.clone(),
         };
-        let tolerance = self.tolerance.get(&s, coords.as_ref())?;
+        let tolerance = self.tolerance.get(s, coords.as_ref())?;
         if let (crate::db::query::Tolerance::Camera(_), crate::height::crs::AxisUnit::Degree) =
             (&tolerance, s.crs().unit)
         {
@@ -340,8 +343,10 @@ impl Heights {
         }
         let how = self.tolerance.how(Seams::Off);
         let found = s.heights(&inside, &tolerance, how)?;
+        let makers = if self.explain { r.explain(&inside, &tolerance, how)? } else { Vec::new() };
         if !found.is_empty() && found.iter().all(Option::is_none) {
-            message(&format!("note: no point lies on a survey; {}", whereabouts(&s, coords.as_ref())));
+            let there = whereabouts(s.crs(), s.bounds(), coords.as_ref());
+            message(&format!("note: no point lies on a survey; {there}"));
         }
         let mut out = Output::new();
         if !self.source.json {
@@ -361,8 +366,8 @@ impl Heights {
                     let more = more.map(|k| (t.names[k].clone(), Value::String(cells[k].clone())));
                     row["columns"] = Value::Object(more.collect());
                 }
-                if self.explain {
-                    row["sources"] = sources(&s, &tolerance, how, inside[k])?;
+                if let Some(makers) = makers.get(k) {
+                    row["sources"] = json!(makers);
                 }
                 rows.push(row);
                 continue;
@@ -377,10 +382,14 @@ impl Heights {
                 Some(e) => out.line(format!("{start},{},{}", e.z, e.error_m))?,
                 None => out.line(format!("{start},,"))?,
             }
-            if self.explain {
-                for x in sources(&s, &tolerance, how, inside[k])?.as_array().unwrap_or(&Vec::new()) {
-                    out.line(format!("# {} patch {} weight {}", x["survey"], x["patch"], x["weight"]))?;
-                }
+            for m in makers.get(k).into_iter().flatten() {
+                // Names as JSON writes them.
+                out.line(format!(
+                    "# {} patch {} weight {}",
+                    json!(m.survey),
+                    json!(m.patch),
+                    json!(m.weight)
+                ))?;
             }
         }
         if self.source.json {
@@ -402,22 +411,6 @@ fn row(p: &[f64; 2], e: Option<&Evaluation>) -> Value {
     }
 }
 
-fn sources(
-    s: &Snapshot,
-    tolerance: &crate::db::query::Tolerance,
-    how: crate::height::surface::How,
-    p: [f64; 2],
-) -> Result<Value> {
-    let mut list = Vec::new();
-    for (record, weight) in s.explain(p, tolerance, how)? {
-        list.push(json!({
-            "survey": s.survey_by_number(record.survey)?.name, "patch": record.id.to_string(), "weight": weight,
-            "level": record.place.level, "error_m": record.bot, "floor": record.floor,
-        }));
-    }
-    Ok(Value::Array(list))
-}
-
 /// Print every patch as exact integers, one JSON object a line, for independent checking
 #[derive(Args)]
 #[command(after_help = "Example:\n  terraquilt boxes hills > boxes.jsonl")]
@@ -428,9 +421,8 @@ pub struct Boxes {
 
 impl Boxes {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
         let mut out = Output::new();
-        db::boxes(&s, |b| out.json(&b))?;
+        self.source.open()?.boxes(|line| out.write(line))?;
         out.end()
     }
 }

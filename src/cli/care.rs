@@ -1,9 +1,8 @@
 //! Commands that look at a database's health: info, fingerprint, verify.
 
 use super::args::Source;
-use super::output::{Meter, Output, bytes, count, stop_flag};
+use super::output::{Output, bytes, count};
 use crate::base::Result;
-use crate::db::{self, Progress};
 use clap::Args;
 use serde_json::json;
 
@@ -17,8 +16,7 @@ pub struct InfoCommand {
 
 impl InfoCommand {
     pub fn run(self) -> Result<bool> {
-        let (db, s) = self.source.open()?;
-        let i = db::info(&db, &s)?;
+        let i = self.source.open()?.info()?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&i)?;
@@ -77,11 +75,11 @@ pub struct Fingerprint {
 
 impl Fingerprint {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let f = db::fingerprint(&s)?;
+        let r = self.source.open()?;
+        let f = r.fingerprint()?;
         let mut out = Output::new();
         if self.source.json {
-            out.json(&json!({"fingerprint": f, "version": s.number()}))?;
+            out.json(&json!({"fingerprint": f, "version": r.version()}))?;
         } else {
             out.line(f)?;
         }
@@ -101,13 +99,8 @@ pub struct Verify {
 
 impl Verify {
     pub fn run(self) -> Result<bool> {
-        let (db, s) = self.source.open()?;
-        let meter = Meter::new();
-        let stop = stop_flag();
-        let report = |stage: &str, share: f64| meter.report(stage, share);
-        let r = db::verify(&db, &s, &Progress { report: &report, stop: &stop });
-        meter.clear();
-        let r = r?;
+        let reader = self.source.open()?;
+        let r = reader.verify()?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&r)?;
@@ -118,7 +111,7 @@ impl Verify {
             }
             let verdict = if r.ok { "all is well" } else { "NOT well" };
             let counted = if counts.is_empty() { "nothing is in it".to_string() } else { counts.join(", ") };
-            out.line(format!("version {}: {verdict}; {counted}", s.number()))?;
+            out.line(format!("version {}: {verdict}; {counted}", reader.version()))?;
         }
         out.end()?;
         Ok(r.ok)

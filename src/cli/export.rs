@@ -4,6 +4,7 @@ use super::args::{Region, Source, ToleranceArgs, numbers};
 use super::mesh::{Packing, packed_glb};
 use super::output::{Meter, Output, bytes, count, message};
 use super::place::{Place, whereabouts};
+use super::reader::Reader;
 use super::shading::Raster;
 use crate::base::{Error, Result};
 use crate::db::Delivered;
@@ -68,7 +69,13 @@ const PICTURE_SIDE: usize = 1600;
 impl Export {
     pub fn run(self) -> Result<bool> {
         let source = Source { db: self.db.clone(), at: self.at, json: self.json };
-        let (_, s) = source.open()?;
+        let Reader::Disk(_, s) = source.open()? else {
+            return Err(Error::unsupported(
+                "export",
+                "a server writes no file yet",
+                "run it where the database's files are",
+            ));
+        };
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         if let Some(name) = &self.survey {
@@ -101,13 +108,14 @@ impl Export {
                 &format!("{} posts as delivered", count(posts)),
             );
         }
-        let place = self.region.place(&s)?;
+        let place = self.region.place(&*s)?;
         self.packing.only_for_glb(&ending)?;
         let looked_at = ending == "glb" || ending == "png";
         let seams = if looked_at { Seams::All } else { Seams::Off };
-        let query = self.tolerance.inner.query(&place, &s, seams)?;
+        let query = self.tolerance.inner.query(&place, &*s, seams)?;
         if s.select(&query)?.records.is_empty() {
-            let reason = format!("holds no data; {}", whereabouts(&s, place.coords.as_ref()));
+            let reason =
+                format!("holds no data; {}", whereabouts(s.crs(), s.bounds(), place.coords.as_ref()));
             return Err(Error::invalid("region", reason));
         }
         self.write(&s, &place, &query, &ending)

@@ -1,9 +1,11 @@
 //! Commands that change a database: init, ingest, replace, set, remove.
 
 use super::args::numbers;
+use super::line::{Line, operation, server};
 use super::output::{Meter, Output, count, message, stop_flag};
 use crate::base::date::Date;
 use crate::base::{Error, Result};
+use crate::client::catalog;
 use crate::db::{self, Awaiting, Change, Db, Options, Outcome, Policy, Progress};
 use crate::format;
 use crate::height::crs::geoid::Geoid;
@@ -12,6 +14,7 @@ use crate::height::crs::{Crs, DatumChoice};
 use crate::height::lifted::{Lift, Lifted};
 use crate::height::patch::Kind;
 use crate::height::source::HeightSource;
+use crate::wire::v1;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -396,10 +399,25 @@ pub struct Set {
 
 impl Set {
     pub fn run(self) -> Result<bool> {
-        let db = Db::open(&self.db)?;
         let date = self.date.as_deref().map(Date::parse).transpose()?;
-        let change = Change::Set { survey: self.survey, date, precedence: self.precedence };
-        let o = carry_out(&db, change, self.operation.as_deref(), false)?;
+        let o = match server(&self.db) {
+            Some(server) => {
+                let line = Line::open(server)?;
+                let operation = operation(self.operation.as_deref(), "set")?;
+                let request = v1::SetRequest {
+                    survey: self.survey,
+                    date: date.map(|d| d.to_string()),
+                    precedence: self.precedence,
+                    operation: operation.clone(),
+                };
+                let done = line.commit(&operation, catalog::set(&line.connection, request))?;
+                line.read(done.json.as_bytes())?
+            }
+            None => {
+                let change = Change::Set { survey: self.survey, date, precedence: self.precedence };
+                carry_out(&Db::open(&self.db)?, change, self.operation.as_deref(), false)?
+            }
+        };
         tell(&o, self.json, false)
     }
 }
@@ -427,9 +445,23 @@ pub struct Remove {
 
 impl Remove {
     pub fn run(self) -> Result<bool> {
-        let db = Db::open(&self.db)?;
-        let change = Change::Remove { surveys: self.surveys, tile: self.tile.clone() };
-        let o = carry_out(&db, change, self.operation.as_deref(), false)?;
+        let o = match server(&self.db) {
+            Some(server) => {
+                let line = Line::open(server)?;
+                let operation = operation(self.operation.as_deref(), "remove")?;
+                let request = v1::RemoveRequest {
+                    surveys: self.surveys,
+                    tile: self.tile.clone().unwrap_or_default(),
+                    operation: operation.clone(),
+                };
+                let done = line.commit(&operation, catalog::remove(&line.connection, request))?;
+                line.read::<Outcome>(done.json.as_bytes())?
+            }
+            None => {
+                let change = Change::Remove { surveys: self.surveys, tile: self.tile.clone() };
+                carry_out(&Db::open(&self.db)?, change, self.operation.as_deref(), false)?
+            }
+        };
         if self.json {
             return tell(&o, true, false);
         }

@@ -9,18 +9,22 @@ mod care;
 mod demo;
 mod export;
 mod ingest;
+mod line;
 mod measure;
 mod mesh;
 mod origin;
 mod output;
 mod place;
 mod points;
+mod question;
+mod reader;
+mod remote;
 mod shading;
 mod tolerance;
 mod upkeep;
 
 use crate::base::{Error, Result};
-use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -78,6 +82,9 @@ pub struct Door {
     pub run: fn(&ArgMatches) -> Result<bool>,
 }
 
+/// Words that work on the files of a database, or make one.
+const DISK_ONLY: [&str; 7] = ["backup", "compact", "copy", "demo", "init", "rebuild", "serve"];
+
 /// Runs the program. Never panics on input; a closed pipe is no crash.
 pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCode {
     // A point such as -119.5,37.6 is a value, not an option: a leading space says so, and is trimmed later.
@@ -85,7 +92,20 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
         Some(t) if is_negative_point(t) => OsString::from(format!(" {t}")),
         _ => a,
     });
-    let whole = doors.iter().fold(Cli::command(), |c, d| c.subcommand(d.command.clone()));
+    let args = match line::in_place(args.collect(), &DISK_ONLY) {
+        Ok(args) => args,
+        Err(text) => {
+            output::message(&text);
+            return ExitCode::from(2);
+        }
+    };
+    let mut whole = Cli::command();
+    for name in Cli::command().get_subcommands().map(clap::Command::get_name) {
+        if !DISK_ONLY.contains(&name) {
+            whole = whole.mut_subcommand(name, line::Login::augment_args);
+        }
+    }
+    let whole = doors.iter().fold(whole, |c, d| c.subcommand(d.command.clone()));
     let matches = match whole.try_get_matches_from(args) {
         Ok(m) => m,
         Err(e) => {
@@ -97,6 +117,12 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
         && let Some(door) = doors.iter().find(|d| d.command.get_name() == word)
     {
         return finish((door.run)(inner));
+    }
+    if let Some((word, inner)) = matches.subcommand()
+        && !DISK_ONLY.contains(&word)
+        && let Ok(login) = line::Login::from_arg_matches(inner)
+    {
+        login.keep();
     }
     let cli = match Cli::from_arg_matches(&matches) {
         Ok(c) => c,

@@ -3,7 +3,6 @@
 use super::args::{Region, Source, ToleranceArgs};
 use super::output::{Output, bytes, count, table};
 use crate::base::Result;
-use crate::db;
 use crate::height::surface::Seams;
 use clap::Args;
 
@@ -23,8 +22,7 @@ pub struct Redundant {
 
 impl Redundant {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let all = db::contributions(&s)?;
+        let all = self.source.open()?.contributions()?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&all)?;
@@ -74,9 +72,10 @@ pub struct ProvenanceCommand {
 
 impl ProvenanceCommand {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region.place(&s)?, &s, Seams::Off)?;
-        let p = s.provenance(&query, self.step)?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
+        let query = self.tolerance.query(&self.region.place(s)?, s, Seams::Off)?;
+        let p = r.provenance(&query, self.step)?;
         let mut out = Output::new();
         if self.source.json {
             out.json(&p)?;

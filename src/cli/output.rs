@@ -28,6 +28,11 @@ impl Output {
         writeln!(self.out).map_err(|e| Error::io("standard output", e))
     }
 
+    /// Bytes as they are.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.out.write_all(bytes).map_err(|e| Error::io("standard output", e))
+    }
+
     pub fn end(mut self) -> Result<bool> {
         self.out.flush().map_err(|e| Error::io("standard output", e))?;
         Ok(true)
@@ -68,8 +73,13 @@ impl Meter {
         Meter { started: Instant::now(), bar: Mutex::new(None), terminal: std::io::stderr().is_terminal() }
     }
 
+    /// Whether anybody sees it by now.
+    pub fn is_shown(&self) -> bool {
+        self.terminal && self.started.elapsed() >= Duration::from_secs(1)
+    }
+
     pub fn report(&self, stage: &str, share: f64) {
-        if !self.terminal || self.started.elapsed() < Duration::from_secs(1) {
+        if !self.is_shown() {
             return;
         }
         let Ok(mut bar) = self.bar.lock() else { return };

@@ -3,8 +3,8 @@
 use super::output::message;
 use crate::base::polygon::{Polygon, Ring};
 use crate::base::{Error, Result, limits};
+use crate::db::metres_per_unit;
 use crate::db::query::Area;
-use crate::db::{Snapshot, metres_per_unit};
 use crate::format::geojson::read_polygons;
 use crate::height::crs::{AxisUnit, Crs, DatumChoice, Transform};
 use std::path::Path;
@@ -22,18 +22,18 @@ pub struct Coords {
 
 impl Coords {
     /// The CRS that `--coords` names; `None` if it names none, or that of the database.
-    pub fn of(text: Option<&str>, s: &Snapshot) -> Result<Option<Coords>> {
-        text.map(|t| Coords::new(t, s)).transpose().map(Option::flatten)
+    pub fn of(text: Option<&str>, database: &Crs) -> Result<Option<Coords>> {
+        text.map(|t| Coords::new(t, database)).transpose().map(Option::flatten)
     }
 
-    fn new(text: &str, s: &Snapshot) -> Result<Option<Coords>> {
+    fn new(text: &str, database: &Crs) -> Result<Option<Coords>> {
         let crs = Crs::parse(text)?;
-        if crs.same_as(s.crs()) {
+        if crs.same_as(database) {
             return Ok(None);
         }
-        let way = Transform::new(&crs, s.crs(), &DatumChoice::None)?;
+        let way = Transform::new(&crs, database, &DatumChoice::None)?;
         way.notes().iter().for_each(|n| message(&format!("note: {n}")));
-        Ok(Some(Coords { crs, way, database: s.crs().clone() }))
+        Ok(Some(Coords { crs, way, database: database.clone() }))
     }
 
     /// Where a point lies in the database's CRS; `None` where that is not defined.
@@ -120,8 +120,9 @@ pub struct Place {
 }
 
 impl Place {
-    pub fn everywhere(coords: Option<Coords>, s: &Snapshot) -> Place {
-        let bounds = coords.as_ref().and_then(|c| seen(c, s.bounds()?));
+    /// `surveys`: the box around all surveys, in the database's CRS.
+    pub fn everywhere(coords: Option<Coords>, surveys: Option<[f64; 4]>) -> Place {
+        let bounds = coords.as_ref().and_then(|c| seen(c, surveys?));
         Place { coords, bounds, ..Place::default() }
     }
 
@@ -137,7 +138,12 @@ impl Place {
 
     /// The polygons of a GeoJSON file. Its own member `crs` says what its coordinates are, else `--coords`, else they are
     /// taken in the database's CRS; but if that is in metres and they can only be degrees, as RFC 7946 has them.
-    pub fn of_file(path: &Path, coords: Option<Coords>, s: &Snapshot) -> Result<Place> {
+    pub fn of_file(
+        path: &Path,
+        coords: Option<Coords>,
+        database: &Crs,
+        surveys: Option<[f64; 4]>,
+    ) -> Result<Place> {
         let name = path.display().to_string();
         let found = read_polygons(path)?;
         if found.others > 0 {
@@ -146,28 +152,23 @@ impl Place {
         let given = Polygon::new(&name, found.parts)?;
         let b = given.bounds();
         let degrees = b[0] >= -360.0 && b[2] <= 360.0 && b[1] >= -90.0 && b[3] <= 90.0;
-        let on_data =
-            s.bounds().is_some_and(|d| d[0] <= b[2] && b[0] <= d[2] && d[1] <= b[3] && b[1] <= d[3]);
+        let on_data = surveys.is_some_and(|d| d[0] <= b[2] && b[0] <= d[2] && d[1] <= b[3] && b[1] <= d[3]);
         let own = match &found.crs {
-            Some(text) => Coords::new(text, s)?,
+            Some(text) => Coords::new(text, database)?,
             None if coords.is_some() => None,
-            None if degrees && !on_data && s.crs().unit != AxisUnit::Degree => {
+            None if degrees && !on_data && database.unit != AxisUnit::Degree => {
                 message(&format!(
                     "note: {name} names no CRS and its coordinates look like degrees: they are read as longitude and \
                      latitude (EPSG:4326); --coords {} says that they are not",
-                    s.crs().code
+                    database.code
                 ));
-                Coords::new("EPSG:4326", s)?
+                Coords::new("EPSG:4326", database)?
             }
-            None if !degrees && s.crs().unit == AxisUnit::Degree => {
+            None if !degrees && database.unit == AxisUnit::Degree => {
                 let reason = format!(
                     "its coordinates ({}, {} .. {}, {}) are no degrees, as those of the database ({}) are; say what they \
                      are with --coords EPSG:n",
-                    b[0],
-                    b[1],
-                    b[2],
-                    b[3],
-                    s.crs().code
+                    b[0], b[1], b[2], b[3], database.code
                 );
                 return Err(Error::invalid(name, reason));
             }
@@ -208,13 +209,13 @@ fn seen(coords: &Coords, b: [f64; 4]) -> Option<[f64; 4]> {
 }
 
 /// Where the surveys are, for those who asked beside them.
-pub fn whereabouts(s: &Snapshot, coords: Option<&Coords>) -> String {
-    let Some(b) = s.bounds() else {
+pub fn whereabouts(database: &Crs, surveys: Option<[f64; 4]>, coords: Option<&Coords>) -> String {
+    let Some(b) = surveys else {
         return "the database is empty; `terraquilt ingest` brings a survey".into();
     };
     let (b, crs) = match coords {
         Some(c) => (seen(c, b).unwrap_or([f64::NAN; 4]), &c.crs),
-        None => (b, s.crs()),
+        None => (b, database),
     };
     let digits = if crs.unit == AxisUnit::Degree { 6 } else { 1 };
     format!(

@@ -3,14 +3,14 @@
 use super::output::message;
 use crate::base::round::up_f32;
 use crate::base::{Error, Result, limits};
-use crate::db::Snapshot;
 use crate::format;
+use crate::height::crs::Crs;
 use crate::height::lod::cut::ErrorRaster;
 use crate::height::source::Window;
 use std::path::Path;
 
 /// Reads tolerances in metres from a grid in the CRS of the database. Every post needs one.
-pub fn read_raster(path: &Path, s: &Snapshot) -> Result<ErrorRaster> {
+pub fn read_raster(path: &Path, database: &Crs) -> Result<ErrorRaster> {
     let name = path.display().to_string();
     let mut source = format::open(path)?;
     let info = source.info().clone();
@@ -25,15 +25,15 @@ pub fn read_raster(path: &Path, s: &Snapshot) -> Result<ErrorRaster> {
         ));
     };
     match &info.crs {
-        Some(crs) if !crs.same_as(s.crs()) => {
+        Some(crs) if !crs.same_as(database) => {
             return Err(Error::unsupported(
                 name,
-                format!("its tolerances are in {}, the database is in {}", crs.code, s.crs().code),
-                format!("warp it first: gdalwarp -t_srs {} INPUT OUTPUT.tif", s.crs().code),
+                format!("its tolerances are in {}, the database is in {}", crs.code, database.code),
+                format!("warp it first: gdalwarp -t_srs {} INPUT OUTPUT.tif", database.code),
             ));
         }
         Some(_) => {}
-        None => message(&format!("note: {name} names no CRS and is taken to be in {}", s.crs().code)),
+        None => message(&format!("note: {name} names no CRS and is taken to be in {}", database.code)),
     }
     let (cols, rows) = (info.cols as usize, info.rows as usize);
     let mut values: Vec<f32> = Vec::with_capacity(cols * rows);

@@ -1,8 +1,11 @@
 //! Commands that look after the files of a database: backup, copy, prune, compact, rebuild.
 
+use super::line::{Line, server};
 use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use crate::base::{Error, Result};
-use crate::db::{self, BackupOutcome, Db, Progress};
+use crate::client::catalog;
+use crate::db::{self, BackupOutcome, Db, Progress, PruneOutcome};
+use crate::wire::v1::prune_request::What;
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -198,16 +201,28 @@ impl Prune {
                 "0 versions; the latest one always stays, so give at least 1",
             ));
         }
-        let db = Db::open(&self.db)?;
-        let (keep, before) = (self.keep, self.before);
-        let choose = |all: &[u64]| -> Vec<u64> {
-            match (keep, before) {
-                (Some(k), _) => all[..all.len().saturating_sub(k as usize)].to_vec(),
-                (None, Some(b)) => all.iter().copied().filter(|v| *v < b).collect(),
-                (None, None) => Vec::new(),
+        let o: PruneOutcome = match server(&self.db) {
+            Some(server) => {
+                let what = match (self.keep, self.before) {
+                    (Some(k), _) => What::Keep(k),
+                    (None, b) => What::Before(b.unwrap_or(0)),
+                };
+                let line = Line::open(server)?;
+                let done = line.wait(catalog::prune(&line.connection, what))?;
+                line.read(done.json.as_bytes())?
+            }
+            None => {
+                let (keep, before) = (self.keep, self.before);
+                let choose = |all: &[u64]| -> Vec<u64> {
+                    match (keep, before) {
+                        (Some(k), _) => all[..all.len().saturating_sub(k as usize)].to_vec(),
+                        (None, Some(b)) => all.iter().copied().filter(|v| *v < b).collect(),
+                        (None, None) => Vec::new(),
+                    }
+                };
+                Db::open(&self.db)?.prune(choose, &mut waiting)?
             }
         };
-        let o = db.prune(choose, &mut waiting)?;
         let mut lines = vec![format!(
             "forgot {}, gave back {}",
             counted(o.pruned.len(), "version"),

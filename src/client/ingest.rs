@@ -46,6 +46,34 @@ impl Rows for InMemory {
     }
 }
 
+/// Reads all rows once and puts their hashes into the header: then a repeat of what the server has sends nothing.
+pub fn hash(header: &mut v1::UploadHeader, rows: &mut impl Rows) -> Result<()> {
+    for (k, grid) in header.grids.iter_mut().enumerate() {
+        let row_bytes = row_bytes(grid)?;
+        let (mut hasher, mut at, mut bytes) = (blake3::Hasher::new(), 0, Vec::new());
+        while at < grid.rows {
+            let n = batch(rows, k, row_bytes).min(grid.rows - at);
+            bytes.clear();
+            rows.read(k, at, n, &mut bytes)?;
+            hasher.update(&bytes);
+            at += n;
+        }
+        grid.hash = hasher.finalize().as_bytes().to_vec().into();
+    }
+    Ok(())
+}
+
+/// Rows of a grid that go into one block.
+fn batch(rows: &dyn Rows, grid: usize, row_bytes: u64) -> u64 {
+    (MESSAGE_BYTES as u64 / row_bytes.max(1)).max(1).min(rows.batch(grid).max(1))
+}
+
+fn row_bytes(g: &v1::Grid) -> Result<u64> {
+    g.row_bytes().ok_or_else(|| {
+        Error::invalid(format!("grid '{}'", g.name), "its sample type or size is none that can be sent")
+    })
+}
+
 /// How an upload is sent.
 #[derive(Clone, Copy, Debug)]
 pub struct Sending {
@@ -53,18 +81,22 @@ pub struct Sending {
     pub packed: bool,
     /// How often in a row it is tried again without anything having arrived.
     pub tries: u32,
-    /// The wait before trying again; it doubles up to ten seconds.
+    /// The wait before trying again; it doubles up to `wait_max`.
     pub wait: Duration,
+    pub wait_max: Duration,
 }
 
 impl Default for Sending {
     fn default() -> Sending {
-        Sending { packed: true, tries: 10, wait: Duration::from_millis(200) }
+        Sending {
+            packed: true,
+            tries: 10,
+            wait: Duration::from_millis(200),
+            wait_max: Duration::from_secs(10),
+        }
     }
 }
 
-/// The longest wait before trying again.
-const WAIT_MAX: Duration = Duration::from_secs(10);
 /// Blocks that are made ahead of the connection.
 const AHEAD: usize = 2;
 
@@ -122,7 +154,7 @@ pub async fn upload(
                     return Err(connection.failed(status));
                 }
                 tokio::time::sleep(wait).await;
-                wait = (wait * 2).min(WAIT_MAX);
+                wait = (wait * 2).min(sending.wait_max);
             }
         }
     }
@@ -208,17 +240,14 @@ async fn feed(
 ) -> Result<()> {
     for span in spans {
         let Some(g) = header.grids.get(span.grid as usize) else { continue };
-        let row_bytes = g.row_bytes().ok_or_else(|| {
-            Error::invalid(format!("grid '{}'", g.name), "its sample type or size is none that can be sent")
-        })?;
-        let most = (MESSAGE_BYTES as u64 / row_bytes.max(1)).max(1);
+        let row_bytes = row_bytes(g)?;
         let mut at = span.row;
         while at < span.row + span.rows {
             let (rows, s) = (rows.clone(), *span);
             let left = span.row + span.rows - at;
             let made = tokio::task::spawn_blocking(move || {
                 let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
-                let n = most.min(left).min(rows.batch(s.grid as usize).max(1));
+                let n = batch(&*rows, s.grid as usize, row_bytes).min(left);
                 block(&mut *rows, s.grid, at, n, n * row_bytes, packed)
             });
             let made = made.await.map_err(|e| Error::invalid("reading rows", e))??;

@@ -1,13 +1,16 @@
 //! The other side of the wire: asks a server what `proto/terraquilt/v1` says, for the command line and for programs in Rust.
 //!
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
+//! - [`catalog`]: what is in the database, changes without samples; [`patches`]: what a region needs;
 //! - [`heights`]: points, lines and rasters;
 //! - [`ingest`]: sends surveys;
 //! - [`view`]: a view that the server keeps in step.
 
+pub mod catalog;
 mod connection;
 pub mod heights;
 pub mod ingest;
+pub mod patches;
 pub mod view;
 
 pub use connection::{Address, Bearer, Connection, Wire, failed};

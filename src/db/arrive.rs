@@ -210,11 +210,11 @@ impl Writing {
 /// What is known of an ingest before a sample is read.
 pub(super) struct Foreseen {
     /// The survey that the files join, and its head.
-    entry: Option<SurveyEntry>,
+    pub entry: Option<SurveyEntry>,
     before: Option<Arc<Head>>,
-    declaration: Declaration,
+    pub declaration: Declaration,
     /// First post of each file on the lattice of the survey.
-    places: Vec<[i64; 2]>,
+    pub places: Vec<[i64; 2]>,
     pub warnings: Vec<String>,
 }
 

@@ -74,7 +74,7 @@ pub enum Change {
 }
 
 /// What a commit did.
-#[derive(Clone, Debug, Default, serde::Serialize)]
+#[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct Outcome {
     pub survey: String,
     pub version: u64,

@@ -16,12 +16,12 @@ use crate::store::quadtree::{Node, Record, check as check_tree};
 use crate::store::record::{VersionRecord, record_name};
 use crate::store::segment::{Files, PageRef, Pages, SegmentKind, SegmentWriter, file_name};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 /// One thing that is wrong.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Problem {
     pub what: String,
     #[serde(rename = "where")]
@@ -29,7 +29,7 @@ pub struct Problem {
 }
 
 /// What was checked and what was found.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Report {
     pub ok: bool,
     pub checked: BTreeMap<String, u64>,

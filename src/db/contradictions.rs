@@ -21,7 +21,7 @@ use crate::height::lod::{SurveyNumber, World};
 use crate::store::segment::{Layered, SegmentWriter};
 use crate::store::table::{PageAddress, PatchPage, block_slot};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -32,7 +32,7 @@ const ROWS: usize = 32;
 const RUN: usize = 64;
 
 /// Two surveys that overlap, compared. Differences are the finer survey minus the coarser.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     pub coarser: String,
     pub finer: String,

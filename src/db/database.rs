@@ -13,12 +13,14 @@ use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::frame::LatticeUnit;
+use crate::height::lod::SurveyNumber;
 use crate::height::patch::Kind;
 use crate::store::catalog::{Catalog, Contents, Counters, NamedFile, Sqlite, Version};
 use crate::store::disk::{Disk, RealDisk, sync_directory};
 use crate::store::lock::Lease;
 use crate::store::segment::Files;
 use std::collections::BTreeMap;
+use std::ops::RangeBounds;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -469,6 +471,14 @@ impl Snapshot {
     pub fn entries(&self) -> impl Iterator<Item = &super::root::SurveyEntry> {
         use super::view::Tables;
         self.view.entries().values()
+    }
+    /// Surveys whose numbers are in a range, by number.
+    pub fn entries_in(
+        &self,
+        range: impl RangeBounds<SurveyNumber>,
+    ) -> impl Iterator<Item = &super::root::SurveyEntry> {
+        use super::view::Tables;
+        self.view.entries().range(range).map(|(_, e)| e)
     }
     /// Head of a survey: declaration and tiles.
     pub fn head(&self, n: crate::height::lod::SurveyNumber) -> Result<Arc<super::head::Head>> {

@@ -1,17 +1,20 @@
 //! What is in a database: surveys, boxes, sizes.
 
 use super::database::Snapshot;
-use super::head::hex;
+use super::head::{Tile, hex};
+use super::root::SurveyEntry;
 use super::view::{Rules, View};
 use crate::base::Result;
 use crate::base::lattice::{Point, Quad};
 use crate::height::frame::CellRect;
 use crate::height::lod::cover::kernel;
 use crate::height::lod::{Place, SurveyNumber};
-use serde::Serialize;
+use crate::store::quadtree::Node;
+use crate::store::segment::PageRef;
+use serde::{Deserialize, Serialize};
 
 /// One survey, as `terraquilt surveys` shows it.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SurveyRow {
     pub id: String,
     pub name: String,
@@ -47,67 +50,96 @@ pub struct SurveyRow {
 }
 
 /// Files in another system than the database's.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct DeliveredRow {
     pub crs: String,
     pub cols: i64,
     pub rows: i64,
     pub step: [f64; 2],
-    pub sample_type: &'static str,
+    pub sample_type: String,
     /// What was done about projection and datum.
     pub operation: String,
 }
 
 /// The surveys of a version, in order of arrival.
 pub fn surveys(s: &Snapshot) -> Result<Vec<SurveyRow>> {
-    s.entries()
-        .map(|e| {
-            let head = s.view.head(e.number)?;
-            let d = &head.declaration;
-            let delivered = head.posts();
-            let posts = head.own_posts();
-            let corners = CellRect::new(posts.i0, posts.j0, posts.i1 - 1, posts.j1 - 1);
-            let b = d.frame.bounds(&corners);
-            let size = s.unit.size();
-            let u = d.lattice.col_step;
-            let xy = |p: Point| [p.x, p.y];
-            Ok(SurveyRow {
-                id: hex(&e.id),
-                name: e.name.clone(),
-                tiles: head.tiles.len(),
-                crs: d.crs.clone(),
-                cols: posts.width(),
-                rows: posts.height(),
-                step: d.lattice.nominal_steps(),
-                rotation_deg: u[1].atan2(u[0]).to_degrees(),
-                accuracy_m: d.accuracy_m,
-                date: e.date.map(|d| d.to_string()),
-                precedence: e.geometry.precedence,
-                bounds: [
-                    b.min.x as f64 * size,
-                    b.min.y as f64 * size,
-                    b.max.x as f64 * size,
-                    b.max.y as f64 * size,
-                ],
-                version: e.since,
-                patches: e.live + e.dormant,
-                live: e.live,
-                dormant: e.dormant,
-                valid_posts: head.valid(),
-                frame: [xy(d.frame.anchor), xy(d.frame.u), xy(d.frame.v)],
-                first_post: [posts.i0, posts.j0],
-                vertical_datum: d.vertical_datum.clone(),
-                delivered: d.resampled.as_ref().map(|r| DeliveredRow {
-                    crs: r.crs.clone(),
-                    cols: delivered.width(),
-                    rows: delivered.height(),
-                    step: r.lattice.nominal_steps(),
-                    sample_type: r.samples.sample_type.name(),
-                    operation: r.operation.clone(),
-                }),
-            })
-        })
-        .collect()
+    s.entries().map(|e| survey_row(s, e)).collect()
+}
+
+/// One survey of a version.
+pub fn survey_row(s: &Snapshot, e: &SurveyEntry) -> Result<SurveyRow> {
+    let head = s.view.head(e.number)?;
+    let d = &head.declaration;
+    let delivered = head.posts();
+    let posts = head.own_posts();
+    let corners = CellRect::new(posts.i0, posts.j0, posts.i1 - 1, posts.j1 - 1);
+    let b = d.frame.bounds(&corners);
+    let size = s.unit.size();
+    let u = d.lattice.col_step;
+    let xy = |p: Point| [p.x, p.y];
+    Ok(SurveyRow {
+        id: hex(&e.id),
+        name: e.name.clone(),
+        tiles: head.tiles.len(),
+        crs: d.crs.clone(),
+        cols: posts.width(),
+        rows: posts.height(),
+        step: d.lattice.nominal_steps(),
+        rotation_deg: u[1].atan2(u[0]).to_degrees(),
+        accuracy_m: d.accuracy_m,
+        date: e.date.map(|d| d.to_string()),
+        precedence: e.geometry.precedence,
+        bounds: [b.min.x as f64 * size, b.min.y as f64 * size, b.max.x as f64 * size, b.max.y as f64 * size],
+        version: e.since,
+        patches: e.live + e.dormant,
+        live: e.live,
+        dormant: e.dormant,
+        valid_posts: head.valid(),
+        frame: [xy(d.frame.anchor), xy(d.frame.u), xy(d.frame.v)],
+        first_post: [posts.i0, posts.j0],
+        vertical_datum: d.vertical_datum.clone(),
+        delivered: d.resampled.as_ref().map(|r| DeliveredRow {
+            crs: r.crs.clone(),
+            cols: delivered.width(),
+            rows: delivered.height(),
+            step: r.lattice.nominal_steps(),
+            sample_type: r.samples.sample_type.name().to_string(),
+            operation: r.operation.clone(),
+        }),
+    })
+}
+
+/// One tile of a survey, as `terraquilt tiles` shows it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct TileRow {
+    pub cols: i64,
+    pub file: String,
+    /// Index of its first post on the lattice it was delivered on.
+    pub first: [i64; 2],
+    pub key: String,
+    pub rows: i64,
+    /// Posts with data.
+    pub valid: u64,
+    pub z_max: f64,
+    pub z_min: f64,
+}
+
+/// The tiles of a survey (a name, or the beginning of an id), by file name.
+pub fn tiles(s: &Snapshot, survey: &str) -> Result<Vec<TileRow>> {
+    let head = s.view.head(s.survey(survey)?.number)?;
+    let mut tiles: Vec<_> = head.tiles.iter().collect();
+    tiles.sort_by(|a, b| a.file.cmp(&b.file).then(a.key.cmp(&b.key)));
+    let row = |t: &Tile| TileRow {
+        cols: t.posts.width(),
+        file: t.file.clone(),
+        first: [t.posts.i0, t.posts.j0],
+        key: t.id(),
+        rows: t.posts.height(),
+        valid: t.valid,
+        z_max: t.z[1],
+        z_min: t.z[0],
+    };
+    Ok(tiles.into_iter().map(row).collect())
 }
 
 /// What the heights of a version count from: the one datum that its surveys name. None if nobody said, or surveys
@@ -143,43 +175,66 @@ pub struct BoxRow {
     pub floor: bool,
 }
 
+/// How far a walk over the patches of a version has come: the survey, and the next of its pages.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BoxWalk {
+    survey: u32,
+    page: usize,
+}
+
 /// Calls `f` with every patch of a version, survey by survey.
 pub fn boxes(s: &Snapshot, mut f: impl FnMut(BoxRow) -> Result<()>) -> Result<()> {
-    let rules = Rules(&s.view);
-    let corners = |q: Quad| q.0.map(|p| [p.x, p.y]);
-    for e in s.entries() {
-        let g = &e.geometry;
-        let id = hex(&e.id);
-        s.view.each_patch(e.number, |place, p, t| {
-            let pieces = kernel(&rules, e.number, place)?;
-            let key = p.fact.id.to_string();
-            f(BoxRow {
-                id: key.clone(),
-                key,
-                survey: id.clone(),
-                level: place.level,
-                index: [place.i, place.j],
-                kernel: pieces.iter().map(|r| corners(g.frame.quad(r)).to_vec()).collect(),
-                domain: corners(g.frame.quad(&place.domain())),
-                area: g.area(place.level),
-                err: p.fact.bot,
-                top: t.standing.top.is_finite().then_some(t.standing.top),
-                state: if t.standing.top > p.fact.bot { "live" } else { "dormant" },
-                floor: t.standing.floor,
-            })
-        })?;
+    let mut walk = BoxWalk::default();
+    while let Some(rows) = more_boxes(s, &mut walk)? {
+        rows.into_iter().try_for_each(&mut f)?;
     }
     Ok(())
 }
 
+/// The next patches of a version, a page of them (some hundreds at most); `None` after the last.
+pub fn more_boxes(s: &Snapshot, walk: &mut BoxWalk) -> Result<Option<Vec<BoxRow>>> {
+    use super::view::Tables;
+    let Some((_, e)) = s.view.entries().range(SurveyNumber(walk.survey)..).next() else { return Ok(None) };
+    let first = if e.number.0 == walk.survey { walk.page } else { 0 };
+    let Some((at, _)) = s.view.head(e.number)?.pages.get(first).copied() else {
+        *walk = BoxWalk { survey: e.number.0 + 1, page: 0 };
+        return Ok(Some(Vec::new()));
+    };
+    *walk = BoxWalk { survey: e.number.0, page: first + 1 };
+    let rules = Rules(&s.view);
+    let corners = |q: Quad| q.0.map(|p| [p.x, p.y]);
+    let g = &e.geometry;
+    let mut rows = Vec::new();
+    s.view.each_patch_of(e.number, at, |place, p, t| {
+        let pieces = kernel(&rules, e.number, place)?;
+        let key = p.fact.id.to_string();
+        rows.push(BoxRow {
+            id: key.clone(),
+            key,
+            survey: hex(&e.id),
+            level: place.level,
+            index: [place.i, place.j],
+            kernel: pieces.iter().map(|r| corners(g.frame.quad(r)).to_vec()).collect(),
+            domain: corners(g.frame.quad(&place.domain())),
+            area: g.area(place.level),
+            err: p.fact.bot,
+            top: t.standing.top.is_finite().then_some(t.standing.top),
+            state: if t.standing.top > p.fact.bot { "live" } else { "dormant" },
+            floor: t.standing.floor,
+        });
+        Ok(())
+    })?;
+    Ok(Some(rows))
+}
+
 /// Sizes and counts of a version.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Info {
     pub path: String,
     pub format_version: u32,
     pub derivation_version: u32,
     pub crs: String,
-    pub policy: &'static str,
+    pub policy: String,
     /// CRS units (metres, or degrees) in one lattice unit.
     pub lattice_unit: f64,
     pub version: u64,
@@ -207,13 +262,12 @@ pub struct Info {
 
 /// Gathers sizes and counts. Walks the whole tree.
 pub fn info(db: &super::Db, s: &Snapshot) -> Result<Info> {
-    use crate::store::quadtree::Node;
     let mut i = Info {
         path: db.path().display().to_string(),
         format_version: db.format(),
         derivation_version: super::root::DERIVATION_VERSION,
         crs: s.crs.code.clone(),
-        policy: s.policy.name(),
+        policy: s.policy.name().to_string(),
         lattice_unit: s.unit.size(),
         version: s.number(),
         surveys: 0,
@@ -313,8 +367,8 @@ pub struct TreeNode {
 
 /// The whole tree of a version, for independent checking; `None` before the first commit.
 pub fn tree(s: &Snapshot) -> Result<Option<TreeNode>> {
-    fn read(view: &View, at: &crate::store::segment::PageRef) -> Result<TreeNode> {
-        let n = crate::store::quadtree::Node::read(&view.files, at)?;
+    fn read(view: &View, at: &PageRef) -> Result<TreeNode> {
+        let n = Node::read(&view.files, at)?;
         let mut out = TreeNode {
             ids: n.records.iter().map(|r| r.id.to_string()).collect(),
             children: Default::default(),
@@ -327,4 +381,36 @@ pub fn tree(s: &Snapshot) -> Result<Option<TreeNode>> {
         Ok(out)
     }
     s.view.tree.as_ref().map(|t| read(&s.view, &t.page)).transpose()
+}
+
+/// One node of the tree, for independent checking.
+#[derive(Clone, Debug, Serialize)]
+pub struct NodeRow {
+    /// Quarters on the way from the root: 0 south-west, 1 south-east, 2 north-west, 3 north-east.
+    pub path: String,
+    /// Ids of the records, in order.
+    pub ids: Vec<String>,
+    pub children: [bool; 4],
+}
+
+/// A walk over the nodes of the tree of a version, parents first.
+pub struct TreeWalk(Vec<(String, PageRef)>);
+
+impl TreeWalk {
+    pub fn new(s: &Snapshot) -> TreeWalk {
+        TreeWalk(s.view.tree.iter().map(|t| (String::new(), t.page)).collect())
+    }
+
+    /// The next node of the version that the walk was begun with; `None` after the last.
+    pub fn more(&mut self, s: &Snapshot) -> Result<Option<NodeRow>> {
+        let Some((path, at)) = self.0.pop() else { return Ok(None) };
+        let n = Node::read(&s.view.files, &at)?;
+        let below = n.children.iter().enumerate().rev();
+        self.0.extend(below.filter_map(|(k, c)| c.as_ref().map(|c| (format!("{path}{k}"), c.page))));
+        Ok(Some(NodeRow {
+            ids: n.records.iter().map(|r| r.id.to_string()).collect(),
+            children: n.children.each_ref().map(Option::is_some),
+            path,
+        }))
+    }
 }

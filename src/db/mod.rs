@@ -54,14 +54,17 @@ mod writing;
 pub use awaiting::Awaiting;
 pub use backup::BackupOutcome;
 pub use change::{Change, Ingest, Outcome, Progress};
-pub use check::{Report, verify};
+pub use check::{Problem, Report, verify};
 pub use compact::CompactOutcome;
 pub use contradictions::{Contradiction, Overlap};
 pub use database::{Db, Options, Policy, Snapshot};
 pub use export::{OwnPosts, RawTile, own_posts, read_tile};
 pub use fingerprint::fingerprint;
 pub use head::{Declaration, Delivered, Head, Resampled, Tile};
-pub use listing::{BoxRow, Info, SurveyRow, TreeNode, boxes, info, surveys, tree, vertical_datum};
+pub use listing::{
+    BoxRow, BoxWalk, DeliveredRow, Info, NodeRow, SurveyRow, TileRow, TreeNode, TreeWalk, boxes, info,
+    more_boxes, survey_row, surveys, tiles, tree, vertical_datum,
+};
 pub use masks::MaskPart;
 pub use provenance::{Provenance, Share};
 pub use prune::PruneOutcome;

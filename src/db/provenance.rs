@@ -6,7 +6,7 @@ use super::query::Query;
 use crate::base::{Error, Result};
 use crate::height::lod::SurveyNumber;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Points that a grid has unless its step is given: 200 x 200.
@@ -15,7 +15,7 @@ const POINTS_WANTED: f64 = 40_000.0;
 const POINTS_MAX: u64 = 4_000_000;
 
 /// What one survey gives to a surface.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Share {
     pub id: String,
     pub name: String,
@@ -32,7 +32,7 @@ pub struct Share {
 }
 
 /// Where the heights of a region come from.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Provenance {
     pub version: u64,
     /// xmin, ymin, xmax, ymax of the region, CRS units; `null` where it is empty.

@@ -5,7 +5,7 @@ use crate::base::Result;
 use crate::store::lock::leased;
 
 /// What prune did.
-#[derive(Clone, Debug, serde::Serialize)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct PruneOutcome {
     pub pruned: Vec<u64>,
     pub kept_for_readers: Vec<u64>,

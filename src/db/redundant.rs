@@ -7,11 +7,11 @@ use super::view::Rules;
 use crate::base::Result;
 use crate::height::lod::{Cells, SurveyNumber, World};
 use crate::store::segment::PageRef;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 
 /// What a survey contributes to a version.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Contribution {
     pub id: String,
     pub name: String,

@@ -25,7 +25,7 @@ pub fn warp_of(d: &Declaration) -> Result<Option<Warp>> {
 
 /// What resampling did to the samples: absolute differences between the survey's surface and the delivered samples, at
 /// those. It says nothing about accuracy, and is in no stated error.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Resampling {
     /// Delivered posts that lie within the resampled ones.
     pub posts: u64,

@@ -219,27 +219,36 @@ impl View {
         Ok(())
     }
 
-    /// Every patch of a survey: its place, fact and what the set makes of it.
+    /// Every patch of one page of a survey: its place, fact and what the set makes of it.
+    pub fn each_patch_of(
+        &self,
+        survey: SurveyNumber,
+        at: PageAddress,
+        mut f: impl FnMut(Place, &PatchEntry, &TopEntry) -> Result<()>,
+    ) -> Result<()> {
+        let Some(page) = self.patch_page(survey, at)? else { return Ok(()) };
+        let tops = self.top_page(survey, at)?;
+        for (k, p) in page.patches.iter().enumerate() {
+            let Some(p) = p else { continue };
+            let top = tops.as_ref().and_then(|t| t.tops[k]).ok_or_else(|| {
+                Error::corrupt(
+                    "top table",
+                    format!("{:?}", at.place(k)),
+                    "a patch has no entry; run `terraquilt verify`",
+                )
+            })?;
+            f(at.place(k), p, &top)?;
+        }
+        Ok(())
+    }
+
+    /// The same for all pages of a survey.
     pub fn each_patch(
         &self,
         survey: SurveyNumber,
         mut f: impl FnMut(Place, &PatchEntry, &TopEntry) -> Result<()>,
     ) -> Result<()> {
-        self.each_patch_page(survey, |at, page| {
-            let tops = self.top_page(survey, at)?;
-            for (k, p) in page.patches.iter().enumerate() {
-                let Some(p) = p else { continue };
-                let top = tops.as_ref().and_then(|t| t.tops[k]).ok_or_else(|| {
-                    Error::corrupt(
-                        "top table",
-                        format!("{:?}", at.place(k)),
-                        "a patch has no entry; run `terraquilt verify`",
-                    )
-                })?;
-                f(at.place(k), p, &top)?;
-            }
-            Ok(())
-        })
+        self.each_patch_page(survey, |at, _| self.each_patch_of(survey, at, &mut f))
     }
 
     /// The record of a patch in the tree, if it is live.

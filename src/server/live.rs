@@ -68,6 +68,11 @@ impl Live {
         Ok(opened)
     }
 
+    /// Closes versions that nobody reads any more.
+    pub fn close_older(&self) {
+        self.older.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     /// Looks for a newer version and makes it the newest. Returns its number.
     pub fn look(&self) -> Result<u64> {
         let _one = self.looking.lock().unwrap_or_else(PoisonError::into_inner);

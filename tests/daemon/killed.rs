@@ -69,7 +69,7 @@ impl Rows for Slow {
         self.rows.read(grid, row, rows, out)
     }
     fn batch(&self, _: usize) -> u64 {
-        12
+        3
     }
 }
 
@@ -108,7 +108,7 @@ fn trial(kills: u64, seed: u64) {
             let mut met: BTreeMap<&str, u64> = BTreeMap::new();
             let mut server = serve(&path, at);
             for _ in 0..kills {
-                std::thread::sleep(Duration::from_secs_f64(random.unit() * 0.9));
+                std::thread::sleep(Duration::from_secs_f64(random.unit() * 1.5));
                 *met.entry(DOING[doing.load(Relaxed) as usize]).or_default() += 1;
                 server.kill().unwrap();
                 server.wait().unwrap();
@@ -130,7 +130,7 @@ fn trial(kills: u64, seed: u64) {
             0..5 => bundled(n as usize),
             _ => {
                 let name = format!("hills-{}", n % 4);
-                let mut s = hills(&name, 240, (n % 4) as f64 * 1500.0, n);
+                let mut s = hills(&name, 120, (n % 4) as f64 * 800.0, n);
                 let first = hills_now.insert(name.clone(), s.clone()).is_none();
                 if !first {
                     s.header.target = Some(v1::upload_header::Target::Replace(name));
@@ -143,7 +143,12 @@ fn trial(kills: u64, seed: u64) {
         let survey = survey.called(&format!("delivery {n}"));
         all += survey.count();
         let rows = Slow { rows: survey.rows(), random: Random(seed + 2 * n + 1), sent: sent.clone() };
-        let sending = Sending { packed: n % 2 == 0, tries: 500, wait: Duration::from_millis(10) };
+        let sending = Sending {
+            packed: n % 2 == 0,
+            tries: 5000,
+            wait: Duration::from_millis(10),
+            wait_max: Duration::from_millis(20),
+        };
         let known = Mutex::new(0);
         doing.store(0, Relaxed);
         let commit = runtime.block_on(async {

@@ -4,14 +4,14 @@ use super::{PICTURE_SIDE, Picture, ending, metered, no_format, size_of, step, wr
 use crate::analysis::{self, Grid, Terrain, Volumes};
 use crate::base::{Error, Result};
 use crate::cli::args::{Region, ToleranceArgs};
-use crate::cli::output::{Meter, Output, stop_flag};
+use crate::cli::output::Output;
+use crate::cli::reader::Reader;
 use crate::db::query::Query;
-use crate::db::{Db, Progress, Snapshot};
 use crate::format::colour_map::Ramp;
 use crate::height::surface::Seams;
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Which two states of the ground are compared.
 #[derive(Args)]
@@ -43,23 +43,24 @@ struct Between {
 
 impl Between {
     /// The two states.
-    fn states(&self, db: &Db) -> Result<[Snapshot; 2]> {
+    fn states(&self, db: &Path) -> Result<[Reader; 2]> {
         if self.from_surveys.is_none() && self.to_surveys.is_none() && self.from == self.to {
             return Err(Error::invalid(
                 "--from",
                 "both states are the same version; name another one with --to",
             ));
         }
+        let newest = Reader::open(db, None)?;
         Ok([
-            state(db, self.from, self.from_surveys.as_deref())?,
-            state(db, self.to, self.to_surveys.as_deref())?,
+            state(&newest, self.from, self.from_surveys.as_deref())?,
+            state(&newest, self.to, self.to_surveys.as_deref())?,
         ])
     }
 
     /// Compares, and hands over each row of differences.
     fn compare(
         &self,
-        states: &[Snapshot; 2],
+        states: &[Reader; 2],
         query: &Query,
         side_max: Option<usize>,
         rows: impl FnOnce(
@@ -67,7 +68,8 @@ impl Between {
             &mut dyn FnMut(&mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()>,
         ) -> Result<()>,
     ) -> Result<Volumes> {
-        let (from, to) = (Terrain::new(&states[0], query)?, Terrain::new(&states[1], query)?);
+        let (from, to) =
+            (Terrain::new(states[0].ground()?, query)?, Terrain::new(states[1].ground()?, query)?);
         let grid = Grid::new(&[&from, &to], &query.area, step(self.step.as_deref())?, side_max)?;
         let mut found = None;
         rows(&grid, &mut |f| {
@@ -82,17 +84,12 @@ impl Between {
 }
 
 /// A version, or some of its surveys.
-fn state(db: &Db, version: Option<u64>, surveys: Option<&str>) -> Result<Snapshot> {
-    let s = db.snapshot(version)?;
+fn state(newest: &Reader, version: Option<u64>, surveys: Option<&str>) -> Result<Reader> {
+    let s = newest.at(version)?;
     let Some(names) = surveys else { return Ok(s) };
     let names: Vec<String> =
         names.split(',').map(str::trim).filter(|n| !n.is_empty()).map(str::to_string).collect();
-    let meter = Meter::new();
-    let stop = stop_flag();
-    let report = |stage: &str, share: f64| meter.report(stage, share);
-    let only = s.only(&names, &Progress { report: &report, stop: &stop });
-    meter.clear();
-    only
+    s.only(&names)
 }
 
 /// Cut and fill between two versions, or two sets of surveys, with their uncertainty
@@ -105,7 +102,7 @@ fn state(db: &Db, version: Option<u64>, surveys: Option<&str>) -> Result<Snapsho
     after_help = "Examples:\n  terraquilt volume pit --from 3 --error 0                    # what changed since version 3\n  terraquilt volume pit --from-surveys flight-06 --to-surveys flight-07 --error 0\n  terraquilt volume pit --from-surveys flight-06 --to-surveys flight-07 --error 0 --bbox 500000,4100000,501000,4101000 --json"
 )]
 pub struct Volume {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     #[command(flatten)]
     between: Between,
@@ -116,10 +113,10 @@ pub struct Volume {
 
 impl Volume {
     pub fn run(self) -> Result<bool> {
-        let db = Db::open(&self.db)?;
-        let states = self.between.states(&db)?;
-        let place = self.between.region.place(&states[1])?;
-        let query = self.between.tolerance.query(&place, &states[1], Seams::Off)?;
+        let states = self.between.states(&self.db)?;
+        let after = states[1].ground()?;
+        let place = self.between.region.place(after)?;
+        let query = self.between.tolerance.query(&place, after, Seams::Off)?;
         let c = self.between.compare(&states, &query, None, |_, go| go(&mut |_, _| Ok(())))?;
         let mut out = Output::new();
         if self.json {
@@ -159,7 +156,7 @@ impl Volume {
     after_help = "Examples:\n  terraquilt difference pit change.png --from 3 --error 0\n  terraquilt difference pit change.tif --from-surveys flight-06 --to-surveys flight-07 --error 0"
 )]
 pub struct Difference {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     /// File to write: .tif (float32 metres, NaN = no data) or .png (blue: lower, red: higher)
     out: PathBuf,
@@ -186,16 +183,16 @@ impl Difference {
             }
             r => r.map(|r| [-r, r]),
         };
-        let db = Db::open(&self.db)?;
-        let states = self.between.states(&db)?;
-        let place = self.between.region.place(&states[1])?;
-        super::stays(&place, &states[1]);
-        let query = self.between.tolerance.query(&place, &states[1], Seams::Off)?;
+        let states = self.between.states(&self.db)?;
+        let after = states[1].ground()?;
+        let place = self.between.region.place(after)?;
+        super::stays(&place, after);
+        let query = self.between.tolerance.query(&place, after, Seams::Off)?;
         let picture = Picture { ramp: Ramp::Diverging, range, unit: "m", legend: true };
         let mut size = [0; 2];
         let c = self.between.compare(&states, &query, png.then_some(PICTURE_SIDE), |grid, go| {
             size = [grid.cols, grid.rows];
-            write_raster(&self.out, grid, db.crs(), &picture, |f| go(f))
+            write_raster(&self.out, grid, after.crs(), &picture, |f| go(f))
         })?;
         let mut out = Output::new();
         if self.json {

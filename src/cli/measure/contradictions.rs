@@ -7,6 +7,7 @@ use crate::cli::args::Source;
 use crate::cli::export::write_whole;
 use crate::cli::ingest::{contradiction, signed};
 use crate::cli::output::{Output, message};
+use crate::cli::reader::Reader;
 use crate::db::{Contradiction, Overlap, Snapshot};
 use crate::format::colour_map::Ramp;
 use crate::format::geojson::{FeatureWriter, Shape};
@@ -38,54 +39,27 @@ const PAIRS_MAX: usize = 64;
 
 impl Contradictions {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
+        let r = self.source.open()?;
         let names: Option<Vec<&str>> = self.surveys.as_ref().map(|t| t.split(',').map(str::trim).collect());
         let named = match names.as_deref() {
             None => None,
             Some([a, b]) if a != b => Some([*a, *b]),
             Some(_) => return Err(Error::invalid("--surveys", "name two surveys: --surveys A,B")),
         };
-        let mut found: Vec<Contradiction> = Vec::new();
-        match self.out.as_deref().map(|p| (p, ending(p))) {
-            None => s.contradictions(named, |o| {
-                found.push(o.found);
-                Ok(())
-            })?,
-            Some((path, e)) if e == "geojson" || e == "json" => {
-                write_whole(path, |p| {
-                    let mut out = FeatureWriter::new(super::create(p)?, s.crs(), Map::new())?;
-                    let mut vertices = 0;
-                    s.contradictions(named, |o| {
-                        polygons(&s, &o, &mut out, &mut vertices)?;
-                        found.push(o.found);
-                        Ok(())
-                    })?;
-                    out.finish().map(|_| ())
-                })?;
+        let found = match (&self.out, &r) {
+            (None, _) => r.contradictions(named)?,
+            (Some(path), Reader::Disk(_, s)) => drawn(s, named, path)?,
+            (Some(path), Reader::Server(there)) => {
+                return Err(Error::unsupported(
+                    &there.line.connection.server,
+                    format!(
+                        "{} needs every cell of both surveys, which a server does not send",
+                        path.display()
+                    ),
+                    "leave the file out, or run the command where the database's files are",
+                ));
             }
-            Some((path, e)) if e == "png" => {
-                let mut all = Vec::new();
-                s.contradictions(named, |o| {
-                    if all.len() == PAIRS_MAX {
-                        let most = PAIRS_MAX as u64;
-                        return Err(Error::limit(
-                            "pairs in one picture (name two with --surveys)",
-                            most,
-                            most + 1,
-                        ));
-                    }
-                    found.push(o.found.clone());
-                    all.push(o);
-                    Ok(())
-                })?;
-                if all.is_empty() {
-                    message("note: no two surveys share ground; there is no picture to draw");
-                } else {
-                    picture(&all, path)?;
-                }
-            }
-            Some((path, _)) => return Err(no_format(path, ".png or .geojson")),
-        }
+        };
         let mut out = Output::new();
         if self.source.json {
             out.json(&found)?;
@@ -114,6 +88,48 @@ impl Contradictions {
         }
         out.end()
     }
+}
+
+/// Compares, and writes where surveys differ.
+fn drawn(s: &Snapshot, named: Option<[&str; 2]>, path: &Path) -> Result<Vec<Contradiction>> {
+    let mut found = Vec::new();
+    match ending(path).as_str() {
+        "geojson" | "json" => {
+            write_whole(path, |p| {
+                let mut out = FeatureWriter::new(super::create(p)?, s.crs(), Map::new())?;
+                let mut vertices = 0;
+                s.contradictions(named, |o| {
+                    polygons(s, &o, &mut out, &mut vertices)?;
+                    found.push(o.found);
+                    Ok(())
+                })?;
+                out.finish().map(|_| ())
+            })?;
+        }
+        "png" => {
+            let mut all = Vec::new();
+            s.contradictions(named, |o| {
+                if all.len() == PAIRS_MAX {
+                    let most = PAIRS_MAX as u64;
+                    return Err(Error::limit(
+                        "pairs in one picture (name two with --surveys)",
+                        most,
+                        most + 1,
+                    ));
+                }
+                found.push(o.found.clone());
+                all.push(o);
+                Ok(())
+            })?;
+            if all.is_empty() {
+                message("note: no two surveys share ground; there is no picture to draw");
+            } else {
+                picture(&all, path)?;
+            }
+        }
+        _ => return Err(no_format(path, ".png or .geojson")),
+    }
+    Ok(found)
 }
 
 /// Writes the contradicted cells of a pair as polygons.

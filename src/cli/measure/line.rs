@@ -1,11 +1,10 @@
 //! Along a line: profile, sight.
 
-use crate::analysis::{self, End, SightOptions, Terrain, Verdict, line_length_m};
+use crate::analysis::{self, End, Ground, SightOptions, Terrain, Verdict, line_length_m};
 use crate::base::{Error, Result};
 use crate::cli::args::{CoordsArg, Source, ToleranceArgs, numbers};
 use crate::cli::output::Output;
 use crate::cli::place::Coords;
-use crate::db::Snapshot;
 use crate::db::query::{Area, Query};
 use crate::format::geojson::read_line;
 use crate::height::surface::Seams;
@@ -46,7 +45,7 @@ pub struct Profile {
 }
 
 /// The surface that is asked at points of its own: a region has no part in it.
-fn terrain<'a>(s: &'a Snapshot, tolerance: &ToleranceArgs, coords: Option<&Coords>) -> Result<Terrain<'a>> {
+fn terrain<'a>(s: &'a dyn Ground, tolerance: &ToleranceArgs, coords: Option<&Coords>) -> Result<Terrain<'a>> {
     let how = tolerance.how(Seams::Off);
     Terrain::new(s, &Query { area: Area::Everything, tolerance: tolerance.get(s, coords)?, how })
 }
@@ -63,15 +62,16 @@ fn outside(coords: Option<&Coords>, p: [f64; 2]) -> [f64; 2] {
 
 impl Profile {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
         let line = match &self.line_file {
             Some(f) => read_line(f)?,
             None => self.line.iter().map(|t| numbers("--line", t)).collect::<Result<Vec<[f64; 2]>>>()?,
         };
-        let coords = self.coords.get(&s)?;
+        let coords = self.coords.get(s)?;
         let coords = coords.as_ref();
         let line = line.into_iter().map(|p| inside(coords, "--line", p)).collect::<Result<Vec<_>>>()?;
-        let mut found = analysis::profile(&terrain(&s, &self.tolerance, coords)?, &line, self.step)?;
+        let mut found = analysis::profile(&terrain(s, &self.tolerance, coords)?, &line, self.step)?;
         for p in &mut found {
             [p.x, p.y] = outside(coords, [p.x, p.y]);
         }
@@ -136,13 +136,14 @@ pub struct SightCommand {
 
 impl SightCommand {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let coords = self.coords.get(&s)?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
+        let coords = self.coords.get(s)?;
         let coords = coords.as_ref();
         let (from, to) = (self.end("--from", &self.from, coords)?, self.end("--to", &self.to, coords)?);
         let options =
             SightOptions { step_m: self.step, refraction: self.curvature.then_some(self.refraction) };
-        let mut found = analysis::sight(&terrain(&s, &self.tolerance, coords)?, from, to, options)?;
+        let mut found = analysis::sight(&terrain(s, &self.tolerance, coords)?, from, to, options)?;
         for r in found.rays.iter_mut().chain(&mut found.closest).chain(&mut found.obstruction) {
             [r.x, r.y] = outside(coords, [r.x, r.y]);
         }

@@ -17,9 +17,8 @@ use super::args::numbers;
 use super::export::write_whole;
 use super::output::{Meter, bytes, message, stop_flag};
 use super::place::Place;
-use crate::analysis::Grid;
+use crate::analysis::{Grid, Ground};
 use crate::base::{Error, Result};
-use crate::db::Snapshot;
 use crate::format::colour_map::{ColourMap, Ramp, write_colour_map};
 use crate::format::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use crate::height::crs::Crs;
@@ -45,7 +44,7 @@ fn step(text: Option<&str>) -> Result<Option<[f64; 2]>> {
 }
 
 /// Says that a raster is not written in the coordinates that the region was given in.
-fn stays(place: &Place, s: &Snapshot) {
+fn stays(place: &Place, s: &dyn Ground) {
     if let Some(c) = &place.coords {
         message(&format!(
             "note: the region is read in {}; the raster is in the database's {}",

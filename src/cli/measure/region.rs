@@ -37,9 +37,10 @@ pub struct StatisticsCommand {
 
 impl StatisticsCommand {
     pub fn run(self) -> Result<bool> {
-        let (_, s) = self.source.open()?;
-        let query = self.tolerance.query(&self.region.place(&s)?, &s, Seams::Off)?;
-        let terrain = Terrain::new(&s, &query)?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
+        let query = self.tolerance.query(&self.region.place(s)?, s, Seams::Off)?;
+        let terrain = Terrain::new(s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let f = metered("heights", |going| analysis::statistics(&terrain, &grid, going))?;
         let mut out = Output::new();
@@ -99,15 +100,16 @@ impl ContoursCommand {
         if !["geojson", "json"].contains(&ending(&self.out).as_str()) {
             return Err(no_format(&self.out, ".geojson"));
         }
-        let (_, s) = self.source.open()?;
-        let place = self.region.place(&s)?;
-        let query = self.tolerance.query(&place, &s, Seams::Off)?;
-        let terrain = Terrain::new(&s, &query)?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
+        let place = self.region.place(s)?;
+        let query = self.tolerance.query(&place, s, Seams::Off)?;
+        let terrain = Terrain::new(s, &query)?;
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, None)?;
         let levels = Levels { interval: self.interval, base: self.base };
         let found = metered("heights", |going| analysis::contours(&terrain, &grid, levels, going))?;
         let mut extras = Map::new();
-        extras.insert("version".into(), json!(s.number()));
+        extras.insert("version".into(), json!(r.version()));
         extras.insert("error_m".into(), json!(found.error_m));
         extras.insert("step".into(), json!(grid.step));
         write_whole(&self.out, |p| {

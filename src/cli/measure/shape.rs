@@ -119,11 +119,12 @@ impl Drawn {
             "tif" | "tiff" => false,
             _ => return Err(no_format(&self.out, ".tif or .png")),
         };
-        let (_, s) = self.source.open()?;
-        let place = self.region.place(&s)?;
-        super::stays(&place, &s);
-        let query = self.tolerance.query(&place, &s, Seams::Off)?;
-        let terrain = Terrain::new(&s, &query)?;
+        let r = self.source.open()?;
+        let s = r.ground()?;
+        let place = self.region.place(s)?;
+        super::stays(&place, s);
+        let query = self.tolerance.query(&place, s, Seams::Off)?;
+        let terrain = Terrain::new(s, &query)?;
         let side = png.then_some(PICTURE_SIDE);
         let grid = Grid::new(&[&terrain], &query.area, step(self.step.as_deref())?, side)?;
         let mut error: f64 = 0.0;

@@ -51,7 +51,7 @@ pub async fn files(state: &Arc<State>, request: v1::FilesRequest, told: &Told) -
                 let sources = paths.iter().map(|p| open(p, nodata)).collect::<Result<_>>()?;
                 let change = s.change(sources);
                 live.look()?;
-                live.db().foresee(&live.newest(), &change)?;
+                live.db().foresee(&live.newest(), &change, &|_, _| Ok(None))?;
                 Ok(change)
             });
             let change = opened.await?;

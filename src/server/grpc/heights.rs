@@ -113,8 +113,7 @@ fn line(r: &ProfileRequest, manner: &Manner, most: u64) -> Result<Places> {
         let reason = format!("{} m; give metres above 0, or 0 for the step of the finest survey", r.step_m);
         return Err(Error::invalid("step_m", reason));
     }
-    let terrain =
-        Terrain { snapshot: &manner.snapshot, tolerance: manner.tolerance.clone(), how: manner.how };
+    let terrain = Terrain { ground: &*manner.snapshot, tolerance: manner.tolerance.clone(), how: manner.how };
     Ok(Places::Along(Box::new(Stations::new(&terrain, &line, step, most)?)))
 }
 

@@ -2,7 +2,9 @@
 
 use super::arrival::{Told, blocking, done, follow, known, reply, settle};
 use super::files::files;
-use crate::base::Result;
+use crate::base::{Error, Result};
+use crate::db::Outcome;
+use crate::height::frame::CellRect;
 use crate::server::model::upload::{self, Said};
 use crate::server::operations;
 use crate::server::pools::Answer;
@@ -137,15 +139,17 @@ async fn next(
     }
 }
 
-/// Checks a header, and what it says against the newest version.
-async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<Arc<Said>> {
-    let live = state.live.clone();
+/// Checks a header, and what it says against the newest version. The outcome is there if that holds all samples already, by
+/// their hashes.
+async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<(Arc<Said>, Option<Outcome>)> {
+    let (live, uploads) = (state.live.clone(), state.uploads.clone());
     let check = move || {
         live.look()?;
         let said = upload::said(&header, live.db().crs())?;
         let sources = said.grids.iter().map(|g| Box::new(Described(g.info.clone())) as _).collect();
-        live.db().foresee(&live.newest(), &said.change(sources))?;
-        Ok(Arc::new(said))
+        let delivered = |k: usize, at: &CellRect| uploads.delivered(&said.grids[k], at);
+        let outcome = live.db().foresee(&live.newest(), &said.change(sources), &delivered)?;
+        Ok((Arc::new(said), outcome))
     };
     state.pools.work(check).await
 }
@@ -162,7 +166,10 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
     if let Some(commit) = known(state, &operation).await? {
         return done(told, &operation, commit).await;
     }
-    let said = check(state, header.clone()).await?;
+    let (said, held) = check(state, header.clone()).await?;
+    if let Some(outcome) = held {
+        return done(told, &operation, operations::reply(&outcome, &operation)).await;
+    }
     let (uploads, h, id) = (state.uploads.clone(), header.clone(), operation.clone());
     let claimed = blocking(move || {
         uploads.compare(&h)?;
@@ -204,19 +211,23 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
     let ending = settle(claim, |claim| {
         let state = state.clone();
         async move {
-            let (s, checked) = (said.clone(), staging.clone());
+            let (s, checked, told) = (said.clone(), staging.clone(), hashes.clone());
             let prepare = move || {
                 let mut staging = checked.lock().unwrap_or_else(PoisonError::into_inner);
-                staging.check_hashes(&hashes)?;
+                staging.check_hashes(&told)?;
                 Ok(s.change(staging.sources()?))
             };
             let change = state.pools.arrival(prepare).await?;
             let (id, dry_run) = (said.operation.clone(), said.dry_run);
             let outcome = operations::commit(&state, id.clone(), dry_run, move || Ok(change)).await?;
             if !dry_run {
-                let uploads = state.uploads.clone();
-                // If this fails, the next sweep does it.
-                if let Err(e) = blocking(move || uploads.remove(&claim)).await {
+                let (uploads, done) = (state.uploads.clone(), outcome.clone());
+                // If this fails, the next sweep removes what is left.
+                let cleared = blocking(move || {
+                    let noted = uploads.deliver(&said, &hashes, &done);
+                    uploads.remove(&claim).and(noted)
+                });
+                if let Err(e) = cleared.await {
                     tracing::warn!("upload '{id}' is committed, its samples were not removed: {e}");
                 }
             }
@@ -229,7 +240,7 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
 fn hashes(finish: &v1::UploadFinish, grids: usize) -> Result<Vec<Option<[u8; 32]>>> {
     if !finish.hashes.is_empty() && finish.hashes.len() != grids {
         let reason = format!("{} for {grids} grids; give one for each, or none", finish.hashes.len());
-        return Err(crate::base::Error::invalid("finish.hashes", reason));
+        return Err(Error::invalid("finish.hashes", reason));
     }
     finish.hashes.iter().map(|h| upload::hash("finish.hashes", h)).collect()
 }

@@ -1,11 +1,13 @@
 //! The services of `proto/terraquilt/v1`, one file each.
 
 mod arrival;
+mod catalog;
 mod files;
 mod heights;
 mod ingest;
 mod outgoing;
 mod query;
+mod report;
 mod view;
 
 use super::State;
@@ -28,9 +30,10 @@ pub fn routes(state: &Arc<State>) -> Router {
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let view = ViewServer::new(view::ViewService::new(state.clone()));
     let routes = Routes::new(v1)
+        .add_service(catalog::service(state))
         .add_service(heights)
-        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
         .add_service(ingest::service(state))
+        .add_service(QueryServer::new(query::QueryService::new(state.clone())))
         .add_service(view.max_decoding_message_size(MESSAGE_BYTES_MAX));
     routes.into_axum_router()
 }

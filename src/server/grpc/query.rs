@@ -82,10 +82,7 @@ impl Query for QueryService {
     type PatchesStream = ReceiverStream<Reply>;
     type DifferenceStream = ReceiverStream<Reply>;
 
-    async fn patches(
-        &self,
-        request: Request<v1::PatchesRequest>,
-    ) -> Answer<Response<Self::PatchesStream>> {
+    async fn patches(&self, request: Request<v1::PatchesRequest>) -> Answer<Response<Self::PatchesStream>> {
         let state = self.state.clone();
         let parts = self.state.pools.answer(move || {
             let r = request.into_inner();

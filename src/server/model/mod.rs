@@ -1,11 +1,15 @@
 //! Messages become our types here, once; behind it our types are trusted.
 
+mod catalog;
 pub mod heights;
 mod looser;
+mod page;
 mod parts;
 mod question;
 pub mod upload;
 
+pub use catalog::{json, survey, tile};
 pub use looser::looser;
+pub use page::Page;
 pub use parts::{frames, ground, mask, patch, set_hash, survey_frame};
 pub use question::{area, how, manner, pairs, query, tolerance};

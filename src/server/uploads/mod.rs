@@ -11,10 +11,12 @@ mod rows;
 pub mod staging;
 
 use super::Settings;
-use super::model::upload::{self, Said};
+use super::model::upload::{self, Said, StagedGrid};
 use super::pools::Answer;
+use crate::base::bytes::Put;
 use crate::base::{Error, Result};
-use crate::db::{self, Db};
+use crate::db::{self, Db, Outcome};
+use crate::height::frame::CellRect;
 use crate::wire::v1;
 use prost::Message;
 use staging::Staging;
@@ -172,6 +174,33 @@ impl Uploads {
         }
     }
 
+    /// The tile that a grid with a hash became before, of the posts that it covers.
+    pub fn delivered(&self, grid: &StagedGrid, at: &CellRect) -> Result<Option<[u8; 16]>> {
+        // Where nothing was uploaded yet there is no catalog to ask, and none is made.
+        if grid.hash.is_none() || !self.db.uploads_folder().exists() {
+            return Ok(None);
+        }
+        let Some(id) = delivery(grid, grid.hash.as_ref(), at) else { return Ok(None) };
+        self.catalog(|c| c.delivered(&id))
+    }
+
+    /// Notes which tiles the grids of a committed upload became, where their hashes were told.
+    pub fn deliver(&self, said: &Said, hashes: &[Option<[u8; 32]>], outcome: &Outcome) -> Result<()> {
+        let infos: Vec<_> = said.grids.iter().map(|g| g.info.clone()).collect();
+        let snapshot = self.db.snapshot(Some(outcome.version))?;
+        let tiles = self.db.tiles_of(&snapshot, &outcome.survey, &infos)?;
+        let mut found = Vec::new();
+        for (k, (grid, tile)) in said.grids.iter().zip(tiles).enumerate() {
+            let hash = grid.hash.or(hashes.get(k).copied().flatten());
+            if let Some((at, key)) = tile
+                && let Some(id) = delivery(grid, hash.as_ref(), &at)
+            {
+                found.push((id, key));
+            }
+        }
+        if found.is_empty() { Ok(()) } else { self.catalog(|c| c.deliver(&found)) }
+    }
+
     /// Opens the folder of an upload, or begins it.
     ///
     /// # Errors
@@ -317,6 +346,21 @@ impl Uploads {
             }
         });
     }
+}
+
+/// What a grid is and what its rows hash to, as one hash: equal ones become the same tile.
+fn delivery(grid: &StagedGrid, hash: Option<&[u8; 32]>, at: &CellRect) -> Option<[u8; 32]> {
+    let mut bytes = Vec::with_capacity(128);
+    bytes.put(b"terraquilt delivery 1");
+    for v in [at.i0, at.j0, at.i1, at.j1] {
+        bytes.put_i64(v);
+    }
+    bytes.put_u8(grid.info.sample_type as u8);
+    bytes.put_u8(u8::from(grid.masked));
+    bytes.put_u8(u8::from(grid.info.nodata.is_some()));
+    bytes.put_f64(grid.info.nodata.unwrap_or(0.0));
+    bytes.put(hash?);
+    Some(*blake3::hash(&bytes).as_bytes())
 }
 
 /// The header that began an upload.

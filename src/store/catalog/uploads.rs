@@ -15,6 +15,9 @@ mod embedded {
 /// How long a change waits for another process.
 const BUSY: Duration = Duration::from_secs(30);
 
+/// Deliveries that are remembered: some 100 bytes each.
+const DELIVERED_MAX: i64 = 200_000;
+
 /// An upload in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Upload {
@@ -112,6 +115,31 @@ impl Uploads {
         let gone = self.db.execute("DELETE FROM upload WHERE operation = ?1", [operation]);
         gone.map(|n| n > 0).map_err(|e| self.wrong(e))
     }
+
+    /// The key of the tile that a grid became when it was delivered before.
+    pub fn delivered(&self, grid: &[u8; 32]) -> Result<Option<[u8; 16]>> {
+        let sql = "SELECT tile FROM delivered WHERE grid = ?1";
+        let found = self
+            .db
+            .prepare_cached(sql)
+            .and_then(|mut q| q.query_row([grid], |r| r.get::<_, [u8; 16]>(0)).optional());
+        found.map_err(|e| self.wrong(e))
+    }
+
+    /// Notes which tiles grids became. The oldest of many are forgotten. One transaction.
+    pub fn deliver(&mut self, grids: &[([u8; 32], [u8; 16])]) -> Result<()> {
+        let note = |db: &mut Connection| {
+            let tx = db.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            for (grid, tile) in grids {
+                let sql = "INSERT OR REPLACE INTO delivered (grid, tile) VALUES (?1, ?2)";
+                tx.prepare_cached(sql)?.execute(params![grid, tile])?;
+            }
+            let sql = "DELETE FROM delivered WHERE number <= (SELECT max(number) FROM delivered) - ?1";
+            tx.execute(sql, [DELIVERED_MAX])?;
+            tx.commit()
+        };
+        note(&mut self.db).map_err(|e| self.wrong(e))
+    }
 }
 
 fn upload_of(row: &rusqlite::Row) -> rusqlite::Result<Upload> {
@@ -152,5 +180,16 @@ mod tests {
         assert_eq!(first.get("b").unwrap().unwrap().touched_at, 9);
         assert!(first.remove("b").unwrap() && !second.remove("b").unwrap());
         assert_eq!(second.get("b").unwrap(), None);
+    }
+
+    #[test]
+    fn deliveries_are_remembered() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut u = Uploads::open(&folder.path().join("catalog.sqlite")).unwrap();
+        u.deliver(&[([1; 32], [2; 16]), ([3; 32], [4; 16])]).unwrap();
+        u.deliver(&[([1; 32], [5; 16])]).unwrap();
+        assert_eq!(u.delivered(&[1; 32]).unwrap(), Some([5; 16]));
+        assert_eq!(u.delivered(&[3; 32]).unwrap(), Some([4; 16]));
+        assert_eq!(u.delivered(&[9; 32]).unwrap(), None);
     }
 }

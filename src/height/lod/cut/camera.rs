@@ -26,6 +26,10 @@ pub struct Camera {
     pub far: f64,
     /// Height of the eye above the bounding height of the terrain (see [`Camera::over`]).
     h: f64,
+    /// What it was made of, beside `eye` and `pixels`.
+    pub look_at: [f64; 3],
+    pub fov_deg: f64,
+    pub viewport: [u32; 2],
 }
 
 impl Camera {
@@ -77,6 +81,9 @@ impl Camera {
             near: (far * 1e-5).max(0.01),
             far,
             h: 0.0,
+            look_at,
+            fov_deg,
+            viewport,
         })
     }
 

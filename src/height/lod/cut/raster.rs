@@ -20,6 +20,7 @@ pub struct ErrorRaster {
     /// Index coordinates of one CRS unit in x and y: `index = by_x dx + by_y dy`.
     by_x: [f64; 2],
     by_y: [f64; 2],
+    affine: Affine,
 }
 
 /// Squares of the pyramid looked at along one side of a region, at most about so many.
@@ -85,7 +86,13 @@ impl ErrorRaster {
             origin: affine.origin,
             by_x: [v[1] / d, -u[1] / d],
             by_y: [-v[0] / d, u[0] / d],
+            affine: *affine,
         })
+    }
+
+    /// Columns, rows, tolerances row by row, and where the posts lie.
+    pub fn posts(&self) -> (usize, usize, &[f32], &Affine) {
+        (self.cols, self.rows, &self.values, &self.affine)
     }
 
     /// Index coordinates of a point, not yet kept on the grid.
