@@ -79,6 +79,10 @@ pub struct Survey {
     rows: Vec<u8>,
 }
 
+/// Dates of the ground that is there first and of what arrives later.
+const OLD: &str = "2020-01-01";
+const NEW: &str = "2024-01-01";
+
 /// West and north border of the made-up ground.
 pub const CORNER: [f64; 2] = [300_000.0, 4_200_000.0];
 
@@ -105,7 +109,7 @@ impl Survey {
             row_dy: -step,
             ..v1::Grid::default()
         };
-        Survey { header: header(name, 0.5, grid), rows }
+        Survey { header: header(name, if seed == 0 { OLD } else { NEW }, grid), rows }
     }
 
     /// A file, whole.
@@ -131,7 +135,7 @@ impl Survey {
             offset: info.offset,
             ..v1::Grid::default()
         };
-        Ok(Survey { header: header("file", 0.5, grid), rows })
+        Ok(Survey { header: header("file", OLD, grid), rows })
     }
 
     pub async fn send(&self, c: &Connection) -> Result<v1::CommitReply> {
@@ -141,11 +145,12 @@ impl Survey {
     }
 }
 
-fn header(name: &str, accuracy_m: f64, grid: v1::Grid) -> v1::UploadHeader {
+fn header(name: &str, date: &str, grid: v1::Grid) -> v1::UploadHeader {
     v1::UploadHeader {
         operation: format!("{name} of {:?}", std::time::SystemTime::now()),
         name: name.into(),
-        accuracy_m: Some(accuracy_m),
+        accuracy_m: Some(0.5),
+        date: date.into(),
         grids: vec![grid],
         ..v1::UploadHeader::default()
     }

@@ -1,9 +1,12 @@
 //! Decoded pages, kept for as long as a database is open and shared by its versions.
 //!
 //! Pages never change, and a [`PageRef`] names one for ever (numbers of files are never given out again). So what a
-//! commit did not touch is as warm in the new version as it was in the old one.
+//! commit did not touch is as warm in the new version as it was in the old one. [`Caches::tidy`] lets go of what is no longer in
+//! use.
 
 use super::head::Head;
+use super::kept::Kept;
+use super::payload::Payloads;
 use super::reader::{BlockCache, block_cache};
 use super::tile::Directory;
 use crate::base::Result;
@@ -11,10 +14,9 @@ use crate::base::bytes::Reader;
 use crate::store::quadtree::Node;
 use crate::store::segment::{Files, PageRef, Pages, file_name};
 use crate::store::table::{PageAddress, PageList, PatchPage, TopPage, read_list};
-use quick_cache::sync::Cache;
-use std::hash::Hash;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Pages kept decoded, by count. A patch page weighs about 10 KiB, a node 3 KiB.
 const PAGES: usize = 8192;
@@ -25,6 +27,9 @@ const SURVEYS: usize = 256;
 /// Decoded sample blocks, bytes.
 const BLOCK_BYTES: u64 = 192 << 20;
 
+/// How long a round of the caches lasts at least.
+const SWEEP_EVERY: Duration = Duration::from_secs(60);
+
 /// A head, and what tells its sample blocks from those of any other head.
 pub struct Known {
     pub head: Arc<Head>,
@@ -33,75 +38,89 @@ pub struct Known {
 
 /// Decoded pages of a database.
 pub struct Caches {
-    nodes: Cache<PageRef, Arc<Node>>,
-    patch_pages: Cache<(PageRef, PageAddress), Arc<PatchPage>>,
-    top_pages: Cache<(PageRef, PageAddress), Arc<TopPage>>,
-    directories: Cache<PageRef, Arc<Directory>>,
-    heads: Cache<PageRef, Arc<Known>>,
-    lists: Cache<PageRef, Arc<PageList>>,
+    nodes: Kept<PageRef, Arc<Node>>,
+    patch_pages: Kept<(PageRef, PageAddress), Arc<PatchPage>>,
+    top_pages: Kept<(PageRef, PageAddress), Arc<TopPage>>,
+    directories: Kept<PageRef, Arc<Directory>>,
+    heads: Kept<PageRef, Arc<Known>>,
+    lists: Kept<PageRef, Arc<PageList>>,
     /// By the stamp of a head: a head names its tiles and pages, so it fixes every sample.
     pub blocks: BlockCache,
+    /// Packed vertices.
+    pub payloads: Payloads,
     stamps: AtomicU64,
+    swept: Mutex<Instant>,
 }
 
 impl Caches {
     pub fn new() -> Arc<Caches> {
         Arc::new(Caches {
-            nodes: Cache::new(NODES),
-            patch_pages: Cache::new(PAGES),
-            top_pages: Cache::new(PAGES),
-            directories: Cache::new(DIRECTORIES),
-            heads: Cache::new(SURVEYS),
-            lists: Cache::new(SURVEYS),
+            nodes: Kept::new(NODES),
+            patch_pages: Kept::new(PAGES),
+            top_pages: Kept::new(PAGES),
+            directories: Kept::new(DIRECTORIES),
+            heads: Kept::new(SURVEYS),
+            lists: Kept::new(SURVEYS),
             blocks: block_cache(BLOCK_BYTES),
+            payloads: Payloads::new(),
             stamps: AtomicU64::new(0),
+            swept: Mutex::new(Instant::now()),
         })
     }
 
+    /// Drops what nobody asked for lately; called whenever a version is opened. Of the pages that commits replace none
+    /// would be asked for again, and they would fill the caches in the end.
+    pub fn tidy(&self) {
+        {
+            let mut swept = self.swept.lock().unwrap_or_else(PoisonError::into_inner);
+            if swept.elapsed() < SWEEP_EVERY {
+                return;
+            }
+            *swept = Instant::now();
+        }
+        self.nodes.sweep();
+        self.patch_pages.sweep();
+        self.top_pages.sweep();
+        self.directories.sweep();
+        self.heads.sweep();
+        self.lists.sweep();
+        self.blocks.sweep();
+        self.payloads.sweep();
+    }
+
     pub fn node(&self, files: &Files, at: &PageRef) -> Result<Arc<Node>> {
-        kept(&self.nodes, *at, || Node::read(files, at))
+        self.nodes.or_read(*at, || Node::read(files, at).map(Arc::new))
     }
 
     pub fn patch_page(&self, files: &Files, r: &PageRef, at: PageAddress) -> Result<Arc<PatchPage>> {
-        kept(&self.patch_pages, (*r, at), || PatchPage::decode(&files.page(r)?, at, &file_name(r.file)))
+        self.patch_pages
+            .or_read((*r, at), || PatchPage::decode(&files.page(r)?, at, &file_name(r.file)).map(Arc::new))
     }
 
     pub fn top_page(&self, files: &Files, r: &PageRef, at: PageAddress) -> Result<Arc<TopPage>> {
-        kept(&self.top_pages, (*r, at), || TopPage::decode(&files.page(r)?, at, &file_name(r.file)))
+        self.top_pages
+            .or_read((*r, at), || TopPage::decode(&files.page(r)?, at, &file_name(r.file)).map(Arc::new))
     }
 
     pub fn directory(&self, files: &Files, at: &PageRef) -> Result<Arc<Directory>> {
-        kept(&self.directories, *at, || Directory::decode(&files.page(at)?, &file_name(at.file)))
+        self.directories
+            .or_read(*at, || Directory::decode(&files.page(at)?, &file_name(at.file)).map(Arc::new))
     }
 
     pub fn head(&self, files: &Files, at: &PageRef) -> Result<Arc<Known>> {
-        kept(&self.heads, *at, || {
+        self.heads.or_read(*at, || {
             let head = Arc::new(Head::decode(&files.page(at)?, &file_name(at.file))?);
-            Ok(Known { head, stamp: self.stamps.fetch_add(1, Ordering::Relaxed) })
+            Ok(Arc::new(Known { head, stamp: self.stamps.fetch_add(1, Ordering::Relaxed) }))
         })
     }
 
     pub fn top_list(&self, files: &Files, at: &PageRef) -> Result<Arc<PageList>> {
-        kept(&self.lists, *at, || {
+        self.lists.or_read(*at, || {
             let (bytes, name) = (files.page(at)?, file_name(at.file));
             let mut r = Reader::new(&bytes, &name, "top list");
             let list = read_list(&mut r)?;
             r.end()?;
-            Ok(list)
+            Ok(Arc::new(list))
         })
     }
-}
-
-/// What is kept under a key, or what `read` gives, kept from now on.
-fn kept<K: Hash + Eq, V>(
-    cache: &Cache<K, Arc<V>>,
-    key: K,
-    read: impl FnOnce() -> Result<V>,
-) -> Result<Arc<V>> {
-    if let Some(found) = cache.get(&key) {
-        return Ok(found);
-    }
-    let found = Arc::new(read()?);
-    cache.insert(key, found.clone());
-    Ok(found)
 }

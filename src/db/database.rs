@@ -7,7 +7,6 @@
 
 use super::awaiting::AWAITING;
 use super::caches::Caches;
-use super::payload::Payloads;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -77,7 +76,6 @@ pub struct Db {
     kind: Kind,
     unit: LatticeUnit,
     caches: Arc<Caches>,
-    payloads: Arc<Payloads>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -307,7 +305,6 @@ impl Db {
             kind,
             unit: LatticeUnit { exponent },
             caches: Caches::new(),
-            payloads: Arc::new(Payloads::new()),
         })
     }
 
@@ -355,6 +352,7 @@ impl Db {
         let claim = self.claim(&*self.catalog_for_reading()?, at)?;
         let files = claim.iter().flat_map(|c| &c.files).map(|f| (f.number, f.length));
         let files = Files::new(self.disk.clone(), files);
+        self.caches.tidy();
         let view = View::sharing(files, claim.as_ref().map(|c| c.version.root), self.caches.clone())?;
         let (version, lease) = claim.map(|c| (c.version, c.lease)).unzip();
         Ok(Snapshot {
@@ -364,7 +362,6 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
-            payloads: self.payloads.clone(),
             _lease: lease.map(Arc::new),
         })
     }
@@ -420,8 +417,6 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
-    /// Shared by all snapshots of a database.
-    pub(super) payloads: Arc<Payloads>,
     _lease: Option<Arc<Lease>>,
 }
 
@@ -455,7 +450,6 @@ impl Snapshot {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
-            payloads: self.payloads.clone(),
             _lease: self._lease.clone(),
         }
     }

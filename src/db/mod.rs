@@ -24,6 +24,7 @@ mod errors;
 mod export;
 mod fingerprint;
 mod head;
+mod kept;
 mod leave;
 mod levels;
 mod listing;

@@ -114,7 +114,7 @@ pub struct View {
     index: Index,
     heads: HashMap<SurveyNumber, OnceLock<Arc<Known>>>,
     top_lists: HashMap<SurveyNumber, OnceLock<Arc<PageList>>>,
-    caches: Arc<Caches>,
+    pub caches: Arc<Caches>,
     /// Correction fields and what they are made of.
     pub seams: SeamCache,
     /// Blocks of masks.
