@@ -14,7 +14,7 @@ use crate::store::catalog::Version;
 use crate::store::disk::{Disk, Finished, Growing};
 use crate::store::quadtree::{Node, Record, check as check_tree};
 use crate::store::record::{VersionRecord, record_name};
-use crate::store::segment::{PageRef, Pages, SegmentKind, SegmentWriter, file_name};
+use crate::store::segment::{Files, PageRef, Pages, SegmentKind, SegmentWriter, file_name};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -76,6 +76,9 @@ pub fn verify(db: &Db, s: &Snapshot, progress: &Progress) -> Result<Report> {
     record(db, version, &mut r)?;
     pages(db, s, version.root, &mut r)?;
     if r.problems.is_empty() {
+        // With caches of its own: what is checked is what the files hold now.
+        let files = Files::new(db.shared_disk(), s.view.files.lengths());
+        let s = &s.seen_as(View::open(files, Some(version.root))?);
         for e in s.entries().map(|e| e.number).collect::<Vec<_>>() {
             let name = name_of(&s.view, e);
             let found = survey(s, e, &mut r, progress);

@@ -6,7 +6,7 @@
 //! ```
 
 use super::awaiting::AWAITING;
-use super::payload::Payloads;
+use super::caches::Caches;
 use super::view::View;
 use crate::base::date::Date;
 use crate::base::{Error, Result};
@@ -75,7 +75,7 @@ pub struct Db {
     policy: Policy,
     kind: Kind,
     unit: LatticeUnit,
-    payloads: Arc<Payloads>,
+    caches: Arc<Caches>,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -304,7 +304,7 @@ impl Db {
             policy,
             kind,
             unit: LatticeUnit { exponent },
-            payloads: Arc::new(Payloads::new()),
+            caches: Caches::new(),
         })
     }
 
@@ -351,7 +351,9 @@ impl Db {
     pub fn snapshot(&self, at: Option<u64>) -> Result<Snapshot> {
         let claim = self.claim(&*self.catalog_for_reading()?, at)?;
         let files = claim.iter().flat_map(|c| &c.files).map(|f| (f.number, f.length));
-        let view = View::open(Files::new(self.disk.clone(), files), claim.as_ref().map(|c| c.version.root))?;
+        let files = Files::new(self.disk.clone(), files);
+        self.caches.tidy();
+        let view = View::sharing(files, claim.as_ref().map(|c| c.version.root), self.caches.clone())?;
         let (version, lease) = claim.map(|c| (c.version, c.lease)).unzip();
         Ok(Snapshot {
             view,
@@ -360,7 +362,6 @@ impl Db {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
-            payloads: self.payloads.clone(),
             _lease: lease.map(Arc::new),
         })
     }
@@ -416,8 +417,6 @@ pub struct Snapshot {
     pub(super) crs: Crs,
     pub(super) policy: Policy,
     kind: Kind,
-    /// Shared by all snapshots of a database.
-    pub(super) payloads: Arc<Payloads>,
     _lease: Option<Arc<Lease>>,
 }
 
@@ -451,7 +450,6 @@ impl Snapshot {
             crs: self.crs.clone(),
             policy: self.policy,
             kind: self.kind,
-            payloads: self.payloads.clone(),
             _lease: self._lease.clone(),
         }
     }

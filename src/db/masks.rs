@@ -10,7 +10,7 @@ use super::view::{Rules, Tables};
 use crate::base::Result;
 use crate::codec::cells;
 use crate::height::cells::{Block, Fill};
-use crate::height::lod::cut::Region;
+use crate::height::lod::cut::{Clip, Region};
 use crate::height::lod::{Cells, Geometry, Place, SurveyNumber, World, places_meeting};
 use bytes::Bytes;
 use quick_cache::sync::Cache;
@@ -74,6 +74,7 @@ impl Snapshot {
         if region.is_empty() {
             return Ok(out);
         }
+        let mut clip = Clip::new(region);
         let mut near: Vec<SurveyNumber> = self.near(region.bounds()).into_iter().collect();
         near.sort_unstable();
         for survey in near {
@@ -82,7 +83,7 @@ impl Snapshot {
             let from = out.len();
             for j in roots.j0..roots.j1 {
                 for i in roots.i0..roots.i1 {
-                    self.blocks_of(survey, g, Place::new(g.level_max, i, j), region, &mut out)?;
+                    self.blocks_of(survey, g, Place::new(g.level_max, i, j), &mut clip, &mut out)?;
                 }
             }
             out[from..].sort_unstable_by_key(MaskPart::key);
@@ -95,7 +96,7 @@ impl Snapshot {
         survey: SurveyNumber,
         g: &Geometry,
         place: Place,
-        region: &Region,
+        clip: &mut Clip,
         out: &mut Vec<MaskPart>,
     ) -> Result<()> {
         let rect = place.rect();
@@ -104,7 +105,7 @@ impl Snapshot {
         }
         let size = self.unit().size();
         let quad = g.frame.quad(&rect.grow(1)).0.map(|p| [p.x as f64 * size, p.y as f64 * size]);
-        if region.clip(&quad).is_empty() {
+        if clip.part(&quad).is_empty() {
             return Ok(());
         }
         match self.square(survey, place)? {
@@ -115,7 +116,7 @@ impl Snapshot {
             }
             Square::Cut => {
                 for child in place.children() {
-                    self.blocks_of(survey, g, child, region, out)?;
+                    self.blocks_of(survey, g, child, clip, out)?;
                 }
             }
         }

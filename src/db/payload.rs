@@ -1,13 +1,13 @@
 //! Vertices of patches as they travel: packed once, kept by content key.
 
 use super::Snapshot;
+use super::kept::Kept;
 use crate::base::Result;
 use crate::codec::vertices;
 use crate::height::lod::PatchId;
 use crate::store::quadtree::Record;
 use bytes::Bytes;
 use quick_cache::Weighter;
-use quick_cache::sync::Cache;
 
 /// Bytes of packed vertices kept.
 const PAYLOAD_BYTES_CACHED: u64 = 64 << 20;
@@ -22,11 +22,16 @@ impl Weighter<PatchId, Bytes> for ByBytes {
 }
 
 /// Packed vertices by content key: right for every version of a database, so its snapshots share them.
-pub struct Payloads(Cache<PatchId, Bytes, ByBytes>);
+pub struct Payloads(Kept<PatchId, Bytes, ByBytes>);
 
 impl Payloads {
     pub fn new() -> Payloads {
-        Payloads(Cache::with_weighter((PAYLOAD_BYTES_CACHED / 1500) as usize, PAYLOAD_BYTES_CACHED, ByBytes))
+        Payloads(Kept::weighing((PAYLOAD_BYTES_CACHED / 1500) as usize, PAYLOAD_BYTES_CACHED, ByBytes))
+    }
+
+    /// Drops what nobody asked for lately.
+    pub fn sweep(&self) {
+        self.0.sweep();
     }
 }
 
@@ -34,7 +39,7 @@ impl Snapshot {
     /// The vertices of a patch, packed as `docs/payload.md` draws. Some 50 microseconds a patch where its samples are at hand,
     /// next to nothing where it was asked for lately, whichever version it was asked of.
     pub fn payload(&self, r: &Record) -> Result<Bytes> {
-        if let Some(b) = self.payloads.0.get(&r.id) {
+        if let Some(b) = self.view.caches.payloads.0.get(&r.id) {
             return Ok(b);
         }
         let packed = self.view.with_samples(r.survey, |reader| {
@@ -42,7 +47,7 @@ impl Snapshot {
             Ok(vertices::pack(&z, reader.declaration.scale, reader.declaration.offset))
         })?;
         let packed = Bytes::from(packed);
-        self.payloads.0.insert(r.id, packed.clone());
+        self.view.caches.payloads.0.insert(r.id, packed.clone());
         Ok(packed)
     }
 }

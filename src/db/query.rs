@@ -3,20 +3,20 @@
 pub use super::area::Area;
 use super::database::Snapshot;
 use super::seams::Fields;
+pub use super::selection::{Difference, Selection, difference, set_hash};
 use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
 use crate::base::lattice::{Bounds, Point, WORLD_HALF};
 use crate::base::polygon::Polygon;
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
-use crate::height::crs::AxisUnit;
 use crate::height::lod::cut::{Camera, Constant, Cut, ErrorRaster, Foci, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
-    Blend, Evaluation, Hessian, Hood, How, KAPPA, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
+    Evaluation, Hessian, Hood, How, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
-use crate::store::quadtree::{Domains, Record, walk};
+use crate::store::quadtree::Record;
 use quick_cache::sync::Cache;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
@@ -43,57 +43,6 @@ pub struct Query {
     pub how: How,
 }
 
-/// The patches of an answer, ascending by id.
-#[derive(Clone, Debug)]
-pub struct Selection {
-    pub version: u64,
-    pub records: Vec<Record>,
-    /// Nodes of the tree that were read.
-    pub nodes: u64,
-    /// Records that were looked at, those stored in several nodes counted each time.
-    pub tested: u64,
-    /// The region that was meant: a convex polygon in CRS units, around the area that was asked.
-    pub region: Region,
-}
-
-/// What changed between two answers to the same question.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Difference {
-    pub added: Vec<Record>,
-    pub removed: Vec<Record>,
-    /// Same patch, other top or floor: as it is now.
-    pub changed: Vec<Record>,
-}
-
-/// The difference that turns the first answer into the second (section 6 of the LOD-space specification).
-pub fn difference(from: &[Record], to: &[Record]) -> Difference {
-    let old: HashMap<_, &Record> = from.iter().map(|r| (r.id, r)).collect();
-    let new: HashSet<_> = to.iter().map(|r| r.id).collect();
-    let mut d = Difference {
-        removed: from.iter().filter(|r| !new.contains(&r.id)).copied().collect(),
-        ..Difference::default()
-    };
-    for r in to {
-        match old.get(&r.id) {
-            None => d.added.push(*r),
-            Some(o) if o.top != r.top || o.floor != r.floor => d.changed.push(*r),
-            Some(_) => {}
-        }
-    }
-    d
-}
-
-/// A hash of the sorted ids of an answer, by which a client knows that it holds the same.
-pub fn set_hash(records: &[Record]) -> String {
-    let mut ids: Vec<_> = records.iter().map(|r| r.id).collect();
-    ids.sort_unstable();
-    let mut h = blake3::Hasher::new();
-    ids.iter().for_each(|id| {
-        h.update(&id.0);
-    });
-    h.finalize().to_hex()[..32].to_string()
-}
-
 impl Snapshot {
     /// Lowest and highest valid height of all samples, metres; the surface may go beyond.
     pub fn z_range(&self) -> Option<[f64; 2]> {
@@ -110,59 +59,6 @@ impl Snapshot {
         let size = self.unit.size();
         let b = self.entries().map(|e| e.geometry.bounds()).reduce(|a, b| a.union(&b))?;
         Some([b.min.x as f64 * size, b.min.y as f64 * size, b.max.x as f64 * size, b.max.y as f64 * size])
-    }
-
-    fn region(&self, query: &Query) -> Result<Region> {
-        let whole = match query.area.convex() {
-            Some(region) => {
-                let b = region.bounds();
-                if !(b.iter().all(|v| v.is_finite()) && b[0] < b[2] && b[1] < b[3]) {
-                    return Err(Error::invalid(
-                        "--bbox",
-                        format!("{b:?} is empty; give xmin,ymin,xmax,ymax"),
-                    ));
-                }
-                region
-            }
-            None => match self.bounds() {
-                // A hair larger, so that the border posts are in.
-                Some(b) => {
-                    let pad = [(b[2] - b[0]) * 1e-9, (b[3] - b[1]) * 1e-9];
-                    Region::from_box([b[0] - pad[0], b[1] - pad[1], b[2] + pad[0], b[3] + pad[1]])
-                }
-                None => Region { polygon: Vec::new() },
-            },
-        };
-        if let (Tolerance::Camera(c), Some(z)) = (&query.tolerance, self.relief(query.how)) {
-            if self.crs.unit == AxisUnit::Degree {
-                return Err(Error::unsupported(
-                    &self.crs.code,
-                    "a camera needs metres, and this database is in degrees",
-                    "ask with --error M, or make a database in a projected CRS",
-                ));
-            }
-            let polygon = whole.clip(&c.footprint(z[0], z[1]).polygon);
-            return Ok(Region { polygon: if polygon.len() < 3 { Vec::new() } else { polygon } });
-        }
-        Ok(whole)
-    }
-
-    /// The patches that the answer needs: for [`Blend::Exact`] the needed set of section 5.4, for
-    /// [`Blend::Plain`] those whose box the tolerance cuts.
-    pub fn select(&self, query: &Query) -> Result<Selection> {
-        if let Tolerance::Constant(c) = query.tolerance
-            && (c.is_nan() || c < 0.0)
-        {
-            return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
-        }
-        let mut found = self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
-        if let Area::Polygon(polygon) = &query.area {
-            let (rules, size) = (Rules(&self.view), self.unit.size());
-            found.records.retain(|r| {
-                polygon.meets(&rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size]))
-            });
-        }
-        Ok(found)
     }
 
     /// The part of an area that the camera of a question sees.
@@ -192,68 +88,6 @@ impl Snapshot {
             Tolerance::Foci(f) => Box::new(f.clone().scaled(|p| metres_per_unit(self.crs.unit, p))),
             Tolerance::Raster(r) => Box::new(r.clone()),
         }
-    }
-
-    fn select_in(&self, region: Region, cut: &dyn Cut, blend: Blend) -> Result<Selection> {
-        let mut out = Selection {
-            version: self.number(),
-            records: Vec::new(),
-            nodes: 0,
-            tested: 0,
-            region: region.clone(),
-        };
-        let (Some(tree), false) = (&self.view.tree, region.is_empty()) else { return Ok(out) };
-        let kappa = if blend == Blend::Exact { KAPPA } else { 1.0 };
-        let size = self.unit.size();
-        let rules = Rules(&self.view);
-        let mut seen: HashSet<(SurveyNumber, Place)> = HashSet::new();
-        let mut tested = 0;
-        let mut records = Vec::new();
-        let mut range = |cell: &Bounds| {
-            let b = [
-                cell.min.x as f64 * size,
-                cell.min.y as f64 * size,
-                cell.max.x as f64 * size,
-                cell.max.y as f64 * size,
-            ];
-            let part = region.clip(&Region::from_box(b).polygon);
-            if part.is_empty() {
-                return None;
-            }
-            let (lo, hi) = cut.bounds(&part);
-            Some((lo / kappa, hi))
-        };
-        let mut visit = |r: &Record| -> Result<()> {
-            tested += 1;
-            // A page with a right checksum and wrong contents: not ours, but no reason to panic.
-            let known = self.view.entries().get(&r.survey).map(|e| &e.geometry);
-            if !known.is_some_and(|g| r.place.level <= g.level_max && r.place.rect().overlaps(&g.core)) {
-                return Err(Error::corrupt(
-                    "tree",
-                    format!("record of survey {}", r.survey.0),
-                    "does not belong to a survey of the root page; run `terraquilt verify`",
-                ));
-            }
-            if !seen.insert((r.survey, r.place)) {
-                return Ok(());
-            }
-            let quad = rules.domain(r).0.map(|p| [p.x as f64 * size, p.y as f64 * size]);
-            let part = region.clip(&quad);
-            if part.is_empty() {
-                return Ok(());
-            }
-            let (lo, hi) = cut.bounds(&part);
-            let floor = blend == Blend::Exact && r.floor;
-            if lo < kappa * f64::from(r.top) && (f64::from(r.bot) <= hi || floor) {
-                records.push(*r);
-            }
-            Ok(())
-        };
-        out.nodes = walk(&self.view.files, &tree.page, &mut range, &mut visit)?;
-        records.sort_unstable_by_key(|r| r.id);
-        out.records = records;
-        out.tested = tested;
-        Ok(out)
     }
 
     /// The surface of a query, ready for heights. Patches are decoded when a point first needs them.

@@ -1,6 +1,7 @@
 //! Reading the posts and vertices of one survey: decoded blocks, cached.
 
 use super::head::{Declaration, Tile};
+use super::kept::Kept;
 use super::tile::Directory;
 use crate::base::{Error, Result};
 use crate::height::block::{BLOCK, Heights, RawBlock, decode};
@@ -10,7 +11,6 @@ use crate::height::patch::{Kind, Vertices, bicubic};
 use crate::height::source::SampleType;
 use crate::store::segment::{PageRef, Pages, file_name};
 use quick_cache::Weighter;
-use quick_cache::sync::Cache;
 use std::sync::Arc;
 
 const N: usize = BLOCK as usize;
@@ -27,11 +27,11 @@ impl Weighter<BlockKey, Arc<Heights>> for ByBytes {
     }
 }
 
-pub type BlockCache = Cache<BlockKey, Arc<Heights>, ByBytes>;
+pub type BlockCache = Kept<BlockKey, Arc<Heights>, ByBytes>;
 
 /// A cache of decoded blocks of at most `bytes`.
 pub fn block_cache(bytes: u64) -> BlockCache {
-    Cache::with_weighter((bytes / 100_000).max(16) as usize, bytes, ByBytes)
+    Kept::weighing((bytes / 100_000).max(16) as usize, bytes, ByBytes)
 }
 
 /// Finds the page of a sample block of a level above 0.

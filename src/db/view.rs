@@ -1,8 +1,9 @@
 //! A version as tables: pages read on demand, cached; and what the rules of LOD space see of it.
 
+use super::caches::{Caches, Known};
 use super::head::Head;
 use super::masks::Masks;
-use super::reader::{BlockCache, SampleReader, block_cache};
+use super::reader::SampleReader;
 use super::root::{Root, SurveyEntry};
 use super::seams::SeamCache;
 use super::tile::Directory;
@@ -10,12 +11,9 @@ use crate::base::lattice::{Bounds, Quad};
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
 use crate::height::lod::{Cells, Fact, Geometry, Place, SurveyNumber, World};
-use crate::store::quadtree::{Domains, Record};
+use crate::store::quadtree::{Domains, Node, Nodes, Record};
 use crate::store::segment::{Files, PageRef, Pages, file_name};
-use crate::store::table::{
-    PageAddress, PageList, PatchEntry, PatchPage, TopEntry, TopPage, find, read_list, slot,
-};
-use quick_cache::sync::Cache;
+use crate::store::table::{PageAddress, PageList, PatchEntry, PatchPage, TopEntry, TopPage, find, slot};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 use std::collections::{BTreeMap, HashMap};
@@ -108,23 +106,15 @@ impl Domains for Rules<'_> {
     }
 }
 
-/// Pages kept decoded, by count. A patch page weighs about 10 KiB.
-const PAGES_CACHED: usize = 8192;
-/// Decoded sample blocks kept, bytes.
-const BLOCK_BYTES_CACHED: u64 = 192 << 20;
-
 /// The tables of one version.
 pub struct View {
     pub files: Files,
     pub tree: Option<crate::store::quadtree::ChildRef>,
     entries: BTreeMap<SurveyNumber, SurveyEntry>,
     index: Index,
-    heads: HashMap<SurveyNumber, OnceLock<Arc<Head>>>,
+    heads: HashMap<SurveyNumber, OnceLock<Arc<Known>>>,
     top_lists: HashMap<SurveyNumber, OnceLock<Arc<PageList>>>,
-    patch_pages: Cache<(SurveyNumber, PageAddress), Arc<PatchPage>>,
-    top_pages: Cache<(SurveyNumber, PageAddress), Arc<TopPage>>,
-    directories: Cache<PageRef, Arc<Directory>>,
-    blocks: BlockCache,
+    pub caches: Arc<Caches>,
     /// Correction fields and what they are made of.
     pub seams: SeamCache,
     /// Blocks of masks.
@@ -132,7 +122,13 @@ pub struct View {
 }
 
 impl View {
+    /// Opens a version with caches of its own.
     pub fn open(files: Files, root: Option<PageRef>) -> Result<View> {
+        View::sharing(files, root, Caches::new())
+    }
+
+    /// Opens a committed version with the caches of its database.
+    pub fn sharing(files: Files, root: Option<PageRef>, caches: Arc<Caches>) -> Result<View> {
         let root = match root {
             Some(at) => Root::decode(&files.page(&at)?, &file_name(at.file))?,
             None => Root::default(),
@@ -142,10 +138,7 @@ impl View {
             index: Index::new(entries.values()),
             heads: entries.keys().map(|n| (*n, OnceLock::new())).collect(),
             top_lists: entries.keys().map(|n| (*n, OnceLock::new())).collect(),
-            patch_pages: Cache::new(PAGES_CACHED),
-            top_pages: Cache::new(PAGES_CACHED),
-            directories: Cache::new(1024),
-            blocks: block_cache(BLOCK_BYTES_CACHED),
+            caches,
             seams: SeamCache::new(),
             masks: Masks::new(),
             tree: root.tree,
@@ -161,49 +154,29 @@ impl View {
     }
 
     pub fn head(&self, survey: SurveyNumber) -> Result<&Arc<Head>> {
-        let slot = self.heads.get(&survey).ok_or_else(|| {
-            Error::corrupt(
-                "tree",
-                format!("survey {}", survey.0),
-                "is not in the root page; rebuild from a backup",
-            )
-        })?;
+        Ok(&self.known(survey)?.head)
+    }
+
+    fn known(&self, survey: SurveyNumber) -> Result<&Known> {
+        let slot = self.heads.get(&survey).ok_or_else(|| unknown(survey))?;
         if let Some(h) = slot.get() {
             return Ok(h);
         }
-        let at = self.entry(survey)?.head;
-        let head = Arc::new(Head::decode(&self.files.page(&at)?, &file_name(at.file))?);
-        Ok(slot.get_or_init(|| head))
+        let known = self.caches.head(&self.files, &self.entry(survey)?.head)?;
+        Ok(slot.get_or_init(|| known))
     }
 
     pub fn top_list(&self, survey: SurveyNumber) -> Result<&Arc<PageList>> {
-        let slot = self.top_lists.get(&survey).ok_or_else(|| {
-            Error::corrupt(
-                "tree",
-                format!("survey {}", survey.0),
-                "is not in the root page; rebuild from a backup",
-            )
-        })?;
+        let slot = self.top_lists.get(&survey).ok_or_else(|| unknown(survey))?;
         if let Some(l) = slot.get() {
             return Ok(l);
         }
-        let at = self.entry(survey)?.tops;
-        let bytes = self.files.page(&at)?;
-        let name = file_name(at.file);
-        let mut r = crate::base::bytes::Reader::new(&bytes, &name, "top list");
-        let list = read_list(&mut r)?;
-        r.end()?;
-        let list = Arc::new(list);
+        let list = self.caches.top_list(&self.files, &self.entry(survey)?.tops)?;
         Ok(slot.get_or_init(|| list))
     }
 
     pub fn directory(&self, at: &PageRef) -> Result<Arc<Directory>> {
-        if let Some(d) = self.directories.get(at) {
-            return Ok(d);
-        }
-        let d = Arc::new(Directory::decode(&self.files.page(at)?, &file_name(at.file))?);
-        self.directories.insert(*at, d.clone());
-        Ok(d)
+        self.caches.directory(&self.files, at)
     }
 
     /// Page of a sample block of a level above 0.
@@ -218,7 +191,7 @@ impl View {
         survey: SurveyNumber,
         f: impl FnOnce(&SampleReader) -> Result<R>,
     ) -> Result<R> {
-        let head = self.head(survey)?.clone();
+        let Known { head, stamp } = self.known(survey)?;
         let tiles =
             head.tiles.iter().map(|t| Ok((t, self.directory(&t.directory)?))).collect::<Result<Vec<_>>>()?;
         let levels = |level: u8, bi: i64, bj: i64| self.level_block(survey, level, bi, bj);
@@ -227,8 +200,8 @@ impl View {
             declaration: &head.declaration,
             tiles,
             levels: &levels,
-            cache: &self.blocks,
-            stamp: u64::from(survey.0),
+            cache: &self.caches.blocks,
+            stamp: *stamp,
         })
     }
 
@@ -301,24 +274,22 @@ impl Tables for View {
     }
 
     fn patch_page(&self, survey: SurveyNumber, at: PageAddress) -> Result<Option<Arc<PatchPage>>> {
-        let key = (survey, at);
-        if let Some(p) = self.patch_pages.get(&key) {
-            return Ok(Some(p));
-        }
         let Some(r) = find(&self.head(survey)?.pages, at) else { return Ok(None) };
-        let p = Arc::new(PatchPage::decode(&self.files.page(&r)?, at, &file_name(r.file))?);
-        self.patch_pages.insert(key, p.clone());
-        Ok(Some(p))
+        self.caches.patch_page(&self.files, &r, at).map(Some)
     }
 
     fn top_page(&self, survey: SurveyNumber, at: PageAddress) -> Result<Option<Arc<TopPage>>> {
-        let key = (survey, at);
-        if let Some(p) = self.top_pages.get(&key) {
-            return Ok(Some(p));
-        }
         let Some(r) = find(self.top_list(survey)?, at) else { return Ok(None) };
-        let p = Arc::new(TopPage::decode(&self.files.page(&r)?, at, &file_name(r.file))?);
-        self.top_pages.insert(key, p.clone());
-        Ok(Some(p))
+        self.caches.top_page(&self.files, &r, at).map(Some)
     }
+}
+
+impl Nodes for View {
+    fn node(&self, at: &PageRef) -> Result<Arc<Node>> {
+        self.caches.node(&self.files, at)
+    }
+}
+
+fn unknown(survey: SurveyNumber) -> Error {
+    Error::corrupt("tree", format!("survey {}", survey.0), "is not in the root page; rebuild from a backup")
 }

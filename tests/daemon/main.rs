@@ -17,6 +17,8 @@ mod commits;
 mod exports;
 /// A database of Mount St. Helens.
 mod hills;
+/// What clients see while surveys arrive is what the database holds.
+mod history;
 /// The server is killed while surveys arrive.
 mod killed;
 

@@ -13,7 +13,7 @@ mod walk;
 pub use build::{Domains, Editor};
 pub use check::{Stats, check};
 pub use node::{ChildRef, Node, Record, child_cell, root_cell};
-pub use walk::walk;
+pub use walk::{Nodes, walk};
 
 /// Records a node stores before it passes the rest on.
 pub const CAPACITY: usize = 64;

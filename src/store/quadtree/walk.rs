@@ -4,34 +4,40 @@ use super::DEPTH_MAX;
 use super::node::{Node, Record, child_cell, root_cell};
 use crate::base::lattice::Bounds;
 use crate::base::{Error, Result};
-use crate::store::segment::{PageRef, Pages};
+use crate::store::segment::PageRef;
+use std::sync::Arc;
+
+/// Reads decoded nodes.
+pub trait Nodes {
+    fn node(&self, at: &PageRef) -> Result<Arc<Node>>;
+}
 
 /// Visits every record that passes the pruning of section 4: in a cell where the tolerance lies in
 /// `[lo, hi]`, records with `top > lo`; children with `top_max > lo` and (`bot_min <= hi` or a floor).
 /// `range(cell)` gives `(lo, hi)` of the tolerance over the cell, or `None` if the region misses it.
 /// A record that is stored in several nodes is visited several times. Returns the number of nodes read.
 pub fn walk(
-    pages: &dyn Pages,
+    nodes: &dyn Nodes,
     root: &PageRef,
     range: &mut dyn FnMut(&Bounds) -> Option<(f64, f64)>,
     visit: &mut dyn FnMut(&Record) -> Result<()>,
 ) -> Result<u64> {
     let cell = root_cell();
-    let mut nodes = 0;
+    let mut count = 0;
     if let Some((lo, _)) = range(&cell) {
-        descend(pages, root, (&cell, 0), lo, range, visit, &mut nodes)?;
+        descend(nodes, root, (&cell, 0), lo, range, visit, &mut count)?;
     }
-    Ok(nodes)
+    Ok(count)
 }
 
 fn descend(
-    pages: &dyn Pages,
+    nodes: &dyn Nodes,
     at: &PageRef,
     (cell, depth): (&Bounds, u8),
     lo: f64,
     range: &mut dyn FnMut(&Bounds) -> Option<(f64, f64)>,
     visit: &mut dyn FnMut(&Record) -> Result<()>,
-    nodes: &mut u64,
+    count: &mut u64,
 ) -> Result<()> {
     if depth > DEPTH_MAX {
         return Err(Error::corrupt(
@@ -40,8 +46,8 @@ fn descend(
             format!("deeper than {DEPTH_MAX} nodes; run `terraquilt verify`"),
         ));
     }
-    *nodes += 1;
-    let node = Node::read(pages, at)?;
+    *count += 1;
+    let node = nodes.node(at)?;
     for r in &node.records {
         if f64::from(r.top) <= lo {
             return Ok(());
@@ -54,7 +60,7 @@ fn descend(
         let cell = child_cell(cell, k);
         let Some((lo, hi)) = range(&cell) else { continue };
         if f64::from(c.top_max) > lo && (f64::from(c.bot_min) <= hi || c.floor) {
-            descend(pages, &c.page, (&cell, depth + 1), lo, range, visit, nodes)?;
+            descend(nodes, &c.page, (&cell, depth + 1), lo, range, visit, count)?;
         }
     }
     Ok(())

@@ -149,17 +149,18 @@ impl Camera {
 impl Cut for Camera {
     fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64) {
         let s = self.pitch_sin.abs();
-        let (mut w_min, mut w_max, mut rho_max) = (f64::INFINITY, 0.0f64, 0.0f64);
-        let mut scaled = Vec::with_capacity(polygon.len());
-        for p in polygon {
+        let flat = |p: &[f64; 2]| {
             let (x, y) = self.local(*p);
-            let w = self.depth(x);
+            [x, s * y]
+        };
+        let (mut w_min, mut w_max, mut rho_max) = (f64::INFINITY, 0.0f64, 0.0f64);
+        for q in polygon.iter().map(flat) {
+            let w = self.depth(q[0]);
             w_min = w_min.min(w);
             w_max = w_max.max(w);
-            rho_max = rho_max.max(x.hypot(s * y));
-            scaled.push([x, s * y]);
+            rho_max = rho_max.max(q[0] * q[0] + q[1] * q[1]);
         }
-        let rho_min = distance_to_origin(&scaled);
+        let (rho_min, rho_max) = (distance_to_origin(polygon.iter().map(flat)), rho_max.sqrt());
         let lo = self.tolerance(w_min, rho_max);
         let hi = self.tolerance(w_max, rho_min);
         // The last digits: bounds may be loose, never tight in the wrong direction.
@@ -221,22 +222,22 @@ impl Cut for Camera {
     }
 }
 
-/// Distance of the origin from a convex polygon (0 inside).
-pub(super) fn distance_to_origin(p: &[[f64; 2]]) -> f64 {
-    let n = p.len();
-    let (mut left, mut right) = (false, false);
+/// Distance of the origin from a convex polygon (0 inside; infinite from none).
+pub(super) fn distance_to_origin(polygon: impl Iterator<Item = [f64; 2]> + Clone) -> f64 {
+    let (mut left, mut right, mut corners) = (false, false, 0);
     let mut least = f64::INFINITY;
-    for k in 0..n {
-        let (a, b) = (p[k], p[(k + 1) % n]);
+    for (a, b) in polygon.clone().zip(polygon.clone().skip(1).chain(polygon.take(1))) {
         let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
         let turn = ex * -a[1] - ey * -a[0];
         left |= turn > 0.0;
         right |= turn < 0.0;
+        corners += 1;
         let l2 = ex * ex + ey * ey;
         let t = if l2 > 0.0 { (-(a[0] * ex + a[1] * ey) / l2).clamp(0.0, 1.0) } else { 0.0 };
-        least = least.min((a[0] + t * ex).hypot(a[1] + t * ey));
+        let (x, y) = (a[0] + t * ex, a[1] + t * ey);
+        least = least.min(x * x + y * y);
     }
-    if n >= 3 && !(left && right) { 0.0 } else { least }
+    if corners >= 3 && !(left && right) { 0.0 } else { least.sqrt() }
 }
 
 #[cfg(test)]

@@ -100,7 +100,7 @@ impl Cut for Foci {
             let far = seen.iter().fold(0.0f64, |m, p| m.max(p[0].hypot(p[1])));
             // The last digits of the coordinates: bounds may be loose, never tight in the wrong direction.
             let slack = 1e-12 * (far + bounds(polygon).iter().fold(1.0f64, |m, v| m.max(v.abs())));
-            lo = lo.min(self.allowed(k, distance_to_origin(&seen) - slack));
+            lo = lo.min(self.allowed(k, distance_to_origin(seen.iter().copied()) - slack));
             hi = hi.min(self.allowed(k, far + slack));
         }
         (lo * (1.0 - 1e-12), (hi * (1.0 + 1e-12)).min(f64::MAX))

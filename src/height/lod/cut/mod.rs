@@ -10,7 +10,7 @@ mod testing;
 pub use camera::Camera;
 pub use foci::{Foci, Focus};
 pub use raster::ErrorRaster;
-pub use region::{Region, bounds};
+pub use region::{Clip, Region, bounds};
 
 /// A tolerance over the plane, metres (section 5.2 of the LOD-space specification).
 pub trait Cut: Sync {

@@ -45,23 +45,70 @@ impl Region {
         bounds(&self.polygon)
     }
 
-    /// The part of a convex polygon inside this region (Sutherland-Hodgman). A little slack keeps the borders in,
-    /// so the result may be a hair larger than the truth, never smaller.
+    /// The part of a convex polygon inside this region: see [`Clip::part`].
     pub fn clip(&self, polygon: &[[f64; 2]]) -> Vec<[f64; 2]> {
-        let mut out = polygon.to_vec();
-        let n = self.polygon.len();
-        if n == 0 {
-            return Vec::new();
+        Clip::new(self).part(polygon).to_vec()
+    }
+}
+
+/// A directed line whose left side stays. A little slack keeps what lies on it.
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    from: [f64; 2],
+    along: [f64; 2],
+    slack: f64,
+}
+
+impl Line {
+    fn side(&self, p: [f64; 2]) -> f64 {
+        self.along[0] * (p[1] - self.from[1]) - self.along[1] * (p[0] - self.from[0]) + self.slack
+    }
+}
+
+/// Cuts many polygons along one region, without an allocation for each.
+#[derive(Clone, Debug)]
+pub struct Clip {
+    lines: Vec<Line>,
+    part: Vec<[f64; 2]>,
+    next: Vec<[f64; 2]>,
+    sides: Vec<f64>,
+}
+
+impl Clip {
+    pub fn new(region: &Region) -> Clip {
+        let p = &region.polygon;
+        let lines = (0..p.len()).map(|k| {
+            let (a, b) = (p[k], p[(k + 1) % p.len()]);
+            let along = [b[0] - a[0], b[1] - a[1]];
+            let slack = (along[0].abs() + along[1].abs()) * (a[0].abs() + a[1].abs() + 1.0) * 1e-12;
+            Line { from: a, along, slack }
+        });
+        Clip { lines: lines.collect(), part: Vec::new(), next: Vec::new(), sides: Vec::new() }
+    }
+
+    /// The part of a convex polygon inside the region (Sutherland-Hodgman); empty if they do not meet. The slack of the
+    /// borders may make it a hair larger than the truth, never smaller.
+    pub fn part(&mut self, polygon: &[[f64; 2]]) -> &[[f64; 2]] {
+        let Clip { lines, part, next, sides } = self;
+        part.clear();
+        if lines.is_empty() {
+            return part;
         }
-        for k in 0..n {
-            let (a, b) = (self.polygon[k], self.polygon[(k + 1) % n]);
-            let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
-            let slack = (ex.abs() + ey.abs()) * (a[0].abs() + a[1].abs() + 1.0) * 1e-12;
-            let side = |p: [f64; 2]| ex * (p[1] - a[1]) - ey * (p[0] - a[0]) + slack;
-            let mut next = Vec::with_capacity(out.len() + 1);
-            for m in 0..out.len() {
-                let (p, q) = (out[m], out[(m + 1) % out.len()]);
-                let (sp, sq) = (side(p), side(q));
+        part.extend_from_slice(polygon);
+        for line in lines {
+            let mut inside = true;
+            sides.resize(part.len(), 0.0);
+            for (side, p) in sides.iter_mut().zip(part.iter()) {
+                *side = line.side(*p);
+                inside &= *side >= 0.0;
+            }
+            if inside {
+                continue;
+            }
+            next.clear();
+            for m in 0..part.len() {
+                let n = if m + 1 < part.len() { m + 1 } else { 0 };
+                let (p, q, sp, sq) = (part[m], part[n], sides[m], sides[n]);
                 if sp >= 0.0 {
                     next.push(p);
                 }
@@ -70,12 +117,12 @@ impl Region {
                     next.push([p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])]);
                 }
             }
-            out = next;
-            if out.is_empty() {
+            std::mem::swap(part, next);
+            if part.is_empty() {
                 break;
             }
         }
-        out
+        part
     }
 }
 

@@ -1,0 +1,259 @@
+//! How long a view, a height, a first patch takes: client and server on loopback, each in a process of its own.
+//!
+//! `cargo run --release --example latency -- [--grid FILE] [--seconds N]`
+//!
+//! Without a file it makes up 20 km of mountains, 10 m from post to post; a file is a GeoTIFF in UTM 11. Prints a table;
+//! exits with 1 if a limit was missed: of 10 clients' steps 99 % within 16 ms, and within 33 ms while a survey of
+//! 1025 x 1025 posts arrives.
+
+// Each of the two examples uses a part of it.
+#[allow(dead_code)]
+mod load;
+
+use clap::Parser;
+use load::{Flight, Server, Survey, constant, create, ground, serve};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use terraquilt::base::{Error, Result};
+use terraquilt::client::view::{Opening, View};
+use terraquilt::client::{Connection, heights};
+use terraquilt::db::{Change, Db, Progress};
+use terraquilt::wire::v1;
+use tokio::time::{MissedTickBehavior, interval_at};
+
+/// What is measured.
+#[derive(Parser)]
+struct Args {
+    /// Ground to look at: a GeoTIFF in UTM 11
+    #[arg(long)]
+    grid: Option<PathBuf>,
+    /// How long each number of clients is measured
+    #[arg(long, default_value_t = 15)]
+    seconds: u64,
+    /// Numbers of clients
+    #[arg(long, value_delimiter = ',', default_value = "1,10,100")]
+    clients: Vec<usize>,
+}
+
+/// Steps a second of every view.
+const RATE: f64 = 60.0;
+/// Limits for the 99th percentile with ten clients, ms.
+const IDLE_MS: f64 = 16.0;
+const ARRIVING_MS: f64 = 33.0;
+
+fn main() -> ExitCode {
+    let args: Vec<String> = std::env::args().collect();
+    let done = match args.get(1).map(String::as_str) {
+        Some(load::SERVE) => serve(&args[2]).map(|()| true),
+        _ => measure(&Args::parse()),
+    };
+    match done {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(e) => {
+            eprintln!("error: {e}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// Times in milliseconds, ascending.
+struct Times(Vec<f64>);
+
+impl Times {
+    fn new(mut ms: Vec<f64>) -> Times {
+        ms.sort_by(f64::total_cmp);
+        Times(ms)
+    }
+
+    fn share(&self, p: f64) -> f64 {
+        let n = self.0.len();
+        self.0.get(((n as f64 * p) as usize).min(n.saturating_sub(1))).copied().unwrap_or(f64::NAN)
+    }
+}
+
+fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}
+
+/// One view that moves at [`RATE`] until told to stop. A step lasts from when it was due until its difference is applied; where
+/// one lasts longer than a frame, the frames that were due meanwhile are left out and counted.
+async fn fly(
+    c: Connection,
+    flight: Flight,
+    k: usize,
+    stop: Arc<AtomicBool>,
+    late: Arc<AtomicU64>,
+) -> Result<(Vec<f64>, usize)> {
+    let opening = Opening { tolerance: Some(flight.at(0)), ..Opening::default() };
+    let mut view = View::open(&c, opening).await?;
+    view.next().await?;
+    let frame = Duration::from_secs_f64(1.0 / RATE);
+    let begin = tokio::time::Instant::now() + frame.mul_f64(k as f64 * 0.618 % 1.0) + frame;
+    let mut ticks = interval_at(begin, frame);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut times = Vec::new();
+    let mut last = 0;
+    while !stop.load(Ordering::Relaxed) {
+        let due = ticks.tick().await;
+        let n = ((due - begin).as_secs_f64() * RATE).round() as u64 + 1;
+        late.fetch_add(n - last - 1, Ordering::Relaxed);
+        last = n;
+        let number = view.steer(None, flight.at(n)).await?;
+        // A step that changes nothing is answered, too.
+        while view.next().await?.answers < number {}
+        times.push(due.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok((times, view.set.patches.len()))
+}
+
+/// Steps of `n` views, until `until` is over. Times, patches of a view, frames left out.
+async fn steps<T>(
+    server: &Server,
+    n: usize,
+    until: impl Future<Output = Result<T>>,
+) -> Result<(Times, usize, u64, T)> {
+    let here = ground(&server.connect().await?).await?;
+    let (stop, late) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
+    let mut views = Vec::new();
+    for k in 0..n {
+        let flight = Flight::new(&here, k, 10.0);
+        views.push(tokio::spawn(fly(server.connect().await?, flight, k, stop.clone(), late.clone())));
+    }
+    let waited = until.await;
+    stop.store(true, Ordering::Relaxed);
+    let (mut times, mut patches) = (Vec::new(), 0);
+    for v in views {
+        let (t, held) = v.await.map_err(|e| Error::invalid("a view", e))??;
+        times.extend(t);
+        patches += held;
+    }
+    Ok((Times::new(times), patches / n, late.load(Ordering::Relaxed), waited?))
+}
+
+fn row(what: &str, t: &Times, rest: &str) {
+    println!("{what:44} {:>8.2} {:>8.2} {:>8.2}   {rest}", t.share(0.5), t.share(0.99), t.share(1.0));
+}
+
+fn measure(args: &Args) -> Result<bool> {
+    let folder = tempfile::tempdir().map_err(|e| Error::invalid("temporary folder", e))?;
+    let path = folder.path().join("db");
+    let db = create(&path)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(|e| Error::invalid("threads", e))?;
+    runtime.block_on(async {
+        let mut server = Server::start(&path)?;
+        let base = match &args.grid {
+            Some(file) => Survey::of_file(file)?,
+            None => Survey::mountains("base", 2049, 10.0, [0.0, 0.0], 0),
+        };
+        let begun = Instant::now();
+        base.send(&server.connect().await?).await?;
+        println!(
+            "{} posts uploaded and committed in {:.1} s",
+            base.header.grids[0].cols * base.header.grids[0].rows,
+            begun.elapsed().as_secs_f64()
+        );
+        let here = ground(&server.connect().await?).await?;
+        println!("{:44} {:>8} {:>8} {:>8}", "", "p50 ms", "p99 ms", "max ms");
+        let mut good = true;
+        for &n in &args.clients {
+            let (t, patches, late, ()) = steps(&server, n, async {
+                tokio::time::sleep(Duration::from_secs(args.seconds)).await;
+                Ok(())
+            })
+            .await?;
+            row(&format!("step of a view, {n} clients"), &t, &told(&t, patches, late, args.seconds as f64));
+            good &= n != 10 || t.share(0.99) <= IDLE_MS;
+        }
+        for &n in &args.clients {
+            let (posts, begun) = (1025, Instant::now());
+            let b = here.bounds.unwrap_or_default();
+            let middle = [
+                (b.xmin + b.xmax) / 2.0 - load::CORNER[0] - 2560.0,
+                load::CORNER[1] - (b.ymin + b.ymax) / 2.0 - 2560.0,
+            ];
+            let arrival = Survey::mountains(&format!("arrival {n}"), posts, 5.0, middle, n as u64 + 1);
+            let c = server.connect().await?;
+            let (t, patches, late, took) = steps(&server, n, async {
+                let sent = Instant::now();
+                arrival.send(&c).await?;
+                Ok(sent.elapsed().as_secs_f64())
+            })
+            .await?;
+            let told = told(&t, patches, late, begun.elapsed().as_secs_f64().min(took));
+            row(&format!("step, {n} clients, {posts}^2 arrive in {took:.1} s"), &t, &told);
+            good &= n != 10 || t.share(0.99) <= ARRIVING_MS;
+            remove(&db, &format!("arrival {n}"))?;
+        }
+        row(
+            "heights at 95 points, one call",
+            &Times::new(points(&server.connect().await?, &here).await?),
+            "",
+        );
+        let mut first = Vec::new();
+        for k in 0..10 {
+            server = Server::start(&path)?;
+            first.push(first_patch(&server, &here, k).await?);
+        }
+        row("first patch, server just started", &Times::new(first), "");
+        drop(server);
+        println!("{}", if good { "limits met" } else { "LIMITS MISSED" });
+        Ok(good)
+    })
+}
+
+fn told(t: &Times, patches: usize, late: u64, seconds: f64) -> String {
+    format!(
+        "{} steps ({:.0} a second), {late} frames left out, {patches} patches a view",
+        t.0.len(),
+        t.0.len() as f64 / seconds
+    )
+}
+
+fn remove(db: &Db, survey: &str) -> Result<()> {
+    let stop = AtomicBool::new(false);
+    let progress = Progress { report: &|_, _| (), stop: &stop };
+    let change = Change::Remove { surveys: vec![survey.to_string()], tile: None };
+    db.change(change, None, false, &progress, &mut || {}).map(|_| ())
+}
+
+async fn points(c: &Connection, here: &v1::Ground) -> Result<Vec<f64>> {
+    let b = here.bounds.unwrap_or_default();
+    let mut times = Vec::new();
+    for k in 0..200 {
+        let start =
+            [b.xmin + (b.xmax - b.xmin) * (0.1 + 0.003 * f64::from(k)), b.ymin + (b.ymax - b.ymin) * 0.4];
+        let line: Vec<[f64; 2]> =
+            (0..95).map(|n| [start[0] + 20.0 * f64::from(n), start[1] + 15.0 * f64::from(n)]).collect();
+        let header = v1::HeightsHeader { tolerance: Some(constant(0.0)), ..v1::HeightsHeader::default() };
+        let begun = Instant::now();
+        heights::points(c, header, &line).await?;
+        times.push(ms(begun));
+    }
+    Ok(times)
+}
+
+/// Asks for what a camera sees; the time until the first message with a patch.
+async fn first_patch(server: &Server, here: &v1::Ground, k: usize) -> Result<f64> {
+    let c = server.connect().await?;
+    let ask = v1::PatchesRequest {
+        tolerance: Some(Flight::new(here, k, 10.0).at(0)),
+        ..v1::PatchesRequest::default()
+    };
+    let begun = Instant::now();
+    let mut stream = c.query().patches(ask).await.map_err(|s| c.failed(s))?.into_inner();
+    while let Some(m) = stream.message().await.map_err(|s| c.failed(s))? {
+        if let Some(v1::patches_reply::Kind::Part(p)) = m.kind
+            && !p.patches.is_empty()
+        {
+            return Ok(ms(begun));
+        }
+    }
+    Err(Error::invalid(Path::new("server").display(), "sent no patch"))
+}
