@@ -127,7 +127,7 @@ fn trial(kills: u64, seed: u64) {
         all += survey.count();
         let rows = Slow { rows: survey.rows(), random: Random(seed + 2 * n + 1), sent: sent.clone() };
         let sending = Sending {
-            packed: n % 2 == 0,
+            packed: n.is_multiple_of(2),
             tries: 5000,
             wait: Duration::from_millis(10),
             wait_max: Duration::from_millis(20),

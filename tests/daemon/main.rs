@@ -1,6 +1,8 @@
 //! The daemon, over real connections on loopback. A binary of its own: it needs a runtime, and links in a fraction of the
 //! time of the other.
 
+/// Calls of the ingest service, message by message.
+mod calls;
 /// Databases, servers and clients for these tests.
 mod support;
 /// Surveys as uploads.
@@ -21,6 +23,8 @@ mod hills;
 mod history;
 /// The server is killed while surveys arrive.
 mod killed;
+/// What of an upload is refused.
+mod refused;
 
 /// Points, lines and rasters from a server are those of the database, bit for bit.
 mod heights;
