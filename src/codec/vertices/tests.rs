@@ -65,6 +65,30 @@ fn the_bytes_are_as_drawn() {
     assert_eq!(*unpack(&bytes).unwrap(), z);
 }
 
+/// Low ground by the sea, with a few fills: every class, escapes, fitted coefficients.
+fn golden() -> Vertices {
+    std::array::from_fn(|k| match (k % SIDE, k / SIDE) {
+        (a, _) if a > 22 => 0.0,
+        (22, b) => 100.0 + b as f64 / 3.0,
+        (a, b) => (100 + a * a / 9 + b + (a * b) % 3 + if (a, b) == (5, 20) { 5000 } else { 0 }) as f64,
+    })
+}
+
+#[test]
+fn bytes_of_today_are_read_for_ever() {
+    let known: Vec<u8> = include_str!("golden.hex")
+        .split_ascii_whitespace()
+        .flat_map(|line| {
+            (0..line.len() / 2).map(|k| u8::from_str_radix(&line[2 * k..2 * k + 2], 16).unwrap())
+        })
+        .collect();
+    let bytes = pack(&golden(), 1.0, 0.0);
+    let hex: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
+    assert_eq!(bytes, known, "{hex}");
+    let back = unpack(&known).unwrap();
+    assert!(back.iter().zip(&golden()).all(|(a, b)| (a - b).abs() <= ERROR_M));
+}
+
 #[test]
 fn truncated_and_flipped_bytes_never_panic() {
     let z: Vertices = std::array::from_fn(|k| if k % 11 == 0 { 0.1 } else { hills(k).round() });
