@@ -379,7 +379,8 @@ impl View {
         failed(&self.connection.server, tonic::Status::unavailable("the stream of the view has ended"))
     }
 
-    /// Waits for the next difference, and applies it. Where `ahead` was asked for, tells the server.
+    /// Waits for the next difference, and applies it. Where `ahead` was asked for, tells the server. May be dropped while it
+    /// waits: nothing is lost.
     ///
     /// # Errors
     /// If the stream ended (the view can be resumed), or the difference does not fit (open it anew).

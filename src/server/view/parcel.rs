@@ -61,7 +61,7 @@ impl Parcel {
     ///
     /// # Errors
     /// If a payload cannot be read.
-    pub fn next(&mut self) -> Result<v1::ViewReply> {
+    pub fn message(&mut self) -> Result<v1::ViewReply> {
         let d = &self.d;
         let mut m = v1::ViewReply { from: d.from, to: d.to, answers: d.answers, ..Default::default() };
         if self.at == [0; LISTS] {

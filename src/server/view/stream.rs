@@ -7,10 +7,14 @@ use crate::server::State;
 use crate::wire::v1;
 use bytes::Bytes;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::mpsc::{self, Permit};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tonic::Status;
+
+/// How long a client may stop reading in the middle of a difference.
+const STALLED: Duration = Duration::from_secs(120);
 
 /// A message of the stream, or its end.
 pub type Reply = std::result::Result<v1::ViewReply, Status>;
@@ -90,8 +94,11 @@ pub async fn feed(
         let _ = tx.send(Err(status)).await;
     }
     drop(tx);
-    tokio::time::sleep(state.views.kept).await;
-    state.views.sweep();
+    let (kept, state) = (state.views.kept, Arc::downgrade(&state));
+    tokio::time::sleep(kept).await;
+    if let Some(state) = state.upgrade() {
+        state.views.sweep();
+    }
 }
 
 /// Room for a message.
@@ -165,7 +172,7 @@ async fn steps(
             let found = ledger.step(target, answers);
             let message = found.map(|d| {
                 let mut parcel = Parcel::new(d, snapshot, !manner.descriptors_only);
-                parcel.next().map(|m| (m, parcel))
+                parcel.message().map(|m| (m, parcel))
             });
             Ok((ledger, message.transpose()?))
         });
@@ -179,8 +186,14 @@ async fn steps(
         }
         permit.send(Ok(message));
         while !parcel.done() {
-            let permit = room(tx, ends).await?;
-            let (message, back) = state.pools.answer(move || parcel.next().map(|m| (m, parcel))).await?;
+            // A difference that goes on holds its version, so that it cannot be pruned: not for ever.
+            let permit = tokio::time::timeout(STALLED, room(tx, ends)).await.map_err(|_| {
+                let s = STALLED.as_secs();
+                Status::deadline_exceeded(format!(
+                    "no message was read for {s} s within a difference; resume"
+                ))
+            })??;
+            let (message, back) = state.pools.answer(move || parcel.message().map(|m| (m, parcel))).await?;
             parcel = back;
             permit.send(Ok(message));
         }

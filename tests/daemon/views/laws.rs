@@ -107,7 +107,7 @@ fn send(d: Difference, snapshot: &Arc<Snapshot>, manner: Manner, client: &mut Se
     let mut messages = 0;
     loop {
         messages += 1;
-        let applied = client.take(parcel.next().unwrap()).unwrap();
+        let applied = client.take(parcel.message().unwrap()).unwrap();
         assert_eq!(applied.is_some(), parcel.done());
         if parcel.done() {
             return messages;
@@ -302,7 +302,7 @@ fn large_differences_come_in_messages_that_every_client_takes() {
     let d = ledger.step(invented(60_000, 0), Some(1)).unwrap();
     let mut parcel = Parcel::new(d.clone(), snapshot.clone(), false);
     while !parcel.done() {
-        let m = prost::Message::encoded_len(&parcel.next().unwrap());
+        let m = prost::Message::encoded_len(&parcel.message().unwrap());
         assert!(m < terraquilt::wire::MESSAGE_BYTES + 4096, "{m} bytes");
     }
     assert!(send(d, &snapshot, manner, &mut client) > 2);
