@@ -101,13 +101,13 @@ impl Walk<'_> {
             }
             false
         });
-        for k in 0..4 {
+        for (k, pages) in children[0].into_iter().zip(children[1]).enumerate() {
+            let pages = [pages.0, pages.1];
             let below = child_cell(cell, k);
             let here = |met: &mut Vec<Met>| -> Vec<Met> {
                 met.extract_if(.., |(_, b)| cell_holds(&below, middle(b))).collect()
             };
             let open = [here(&mut old), here(&mut new)];
-            let pages = [children[0][k], children[1][k]];
             if pages[0] == pages[1] {
                 // Nothing below differs: what is open here is not in the other tree.
                 self.close(open);

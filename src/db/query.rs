@@ -170,7 +170,7 @@ impl Snapshot {
         points: &[[f64; 2]],
         tolerance: &Tolerance,
         how: impl Into<How>,
-    ) -> Result<Vec<Option<Vec<(Record, f64)>>>> {
+    ) -> Result<Vec<Option<Makers>>> {
         self.scattered(points, tolerance, how.into(), &|g, p| g.explained(p))
     }
 
@@ -245,6 +245,9 @@ impl Snapshot {
         Ok(())
     }
 }
+
+/// Patches that make a height and their shares, which sum to 1; largest first.
+pub type Makers = Vec<(Record, f64)>;
 
 /// What is asked of a surface at points.
 type Ask<'a, E> = &'a dyn Fn(&Ground, &[[f64; 2]]) -> Result<Vec<Option<E>>>;
@@ -354,7 +357,7 @@ impl Ground<'_> {
     }
 
     /// Who makes the heights at points of the region, in parallel: patches and normalised weights, largest first.
-    pub fn explained(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Vec<(Record, f64)>>>> {
+    pub fn explained(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Makers>>> {
         let one = |p: &[f64; 2]| {
             let found = self.sheet().explain(*p)?;
             let named = |(k, w): (usize, f64)| (self.selection.records[k], w);

@@ -62,16 +62,20 @@ async fn files_are_those_of_the_command_line() {
         region: region([-122.195, 46.195, -122.185, 46.205]),
         ..r
     };
-    let glb = request(Format::Glb, 8.0);
+    let glb = v1::FileRequest {
+        region: region([562_400.0, 5_115_700.0, 562_800.0, 5_116_100.0]),
+        ..request(Format::Glb, 8.0)
+    };
+    let small = "562400,5115700,562800,5116100";
     let tif = request(Format::Geotiff, 0.0);
     let png = request(Format::Png, 2.0);
     let survey =
         v1::FileRequest { format: Format::Geotiff as i32, survey: "2004-10-04".into(), ..Default::default() };
     let cases: Vec<(&str, Vec<&str>, v1::FileRequest)> = vec![
-        ("glb", vec!["--error", "8", "--bbox", &dome], glb.clone()),
+        ("glb", vec!["--error", "8", "--bbox", small], glb.clone()),
         (
             "glb",
-            vec!["--error", "8", "--bbox", &dome, "--quantize", "--seams", "off"],
+            vec!["--error", "8", "--bbox", small, "--quantize", "--seams", "off"],
             v1::FileRequest { quantize: true, seams: v1::Seams::Off as i32, ..glb },
         ),
         ("tif", vec!["--error", "0", "--bbox", &dome, "--at", "1"], v1::FileRequest { at: 1, ..tif.clone() }),
@@ -126,7 +130,7 @@ async fn bad_requests_are_refused_with_a_sentence() {
         (v1::FileRequest { quantize: true, ..tif.clone() }, "--quantize: is for .glb"),
         (v1::FileRequest { step_x: -1.0, ..tif.clone() }, "must be positive"),
         (v1::FileRequest { step_x: 1e-6, ..tif.clone() }, "pixels"),
-        (v1::FileRequest { step_x: 0.05, ..png.clone() }, "at most 64000000 allowed"),
+        (v1::FileRequest { step_x: 0.1, ..png.clone() }, "at most 64000000 allowed"),
         (v1::FileRequest { region: region([0.0, 0.0, 9.0, 9.0]), ..png.clone() }, "the surveys lie in"),
         (v1::FileRequest { coords: "EPSG:1".into(), ..png }, "EPSG:1"),
         (v1::FileRequest { at: 9, ..tif.clone() }, "9"),
@@ -173,7 +177,13 @@ async fn who_goes_is_forgotten() {
         }
     };
     assert!(tokio::time::timeout(Duration::from_secs(60), done).await.unwrap() > 1000);
-    assert_eq!(open_nameless(), 0);
+    // Other tests of this process have files of their own for a while.
+    let closed = async {
+        while open_nameless() > 0 {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(60), closed).await.expect("no file stays open");
     server.stop().await.unwrap();
 }
 

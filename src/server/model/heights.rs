@@ -5,7 +5,7 @@ use crate::analysis::{Station, Stations};
 use crate::base::bytes::Put;
 use crate::base::{Error, Result};
 use crate::db::Snapshot;
-use crate::db::query::Tolerance;
+use crate::db::query::{Makers, Tolerance};
 use crate::height::crs::AxisUnit;
 use crate::height::surface::{Evaluation, How, Seams};
 use crate::store::quadtree::Record;
@@ -155,9 +155,6 @@ pub struct Asked {
     pub points: Vec<[f64; 2]>,
     pub stations: Vec<Station>,
 }
-
-/// Patches and their shares, largest first.
-pub type Makers = Vec<(Record, f64)>;
 
 /// What the surface is at some points.
 #[derive(Clone, Default)]
