@@ -388,7 +388,7 @@ fn time(text: &str) -> Parsed<Duration> {
 
 fn shown(t: Duration) -> String {
     let ms = t.as_millis() as u64;
-    let (name, unit) = UNITS.iter().find(|(_, unit)| ms % unit == 0).unwrap_or(&("ms", 1));
+    let (name, unit) = UNITS.iter().find(|(_, unit)| ms.is_multiple_of(*unit)).unwrap_or(&("ms", 1));
     format!("{}{name}", ms / unit)
 }
 

@@ -44,7 +44,6 @@ use listen::Listen;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokens::Tokens;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tonic_web::GrpcWebLayer;
@@ -72,7 +71,7 @@ pub async fn start(settings: Settings) -> Result<Running> {
         .await
         .map_err(|e| Error::invalid("server", e))??;
     let io = |e| Error::invalid(format!("address {listen}"), e);
-    let listener = TcpListener::bind(listen).await.map_err(io)?;
+    let listener = listen::bind(listen).map_err(io)?;
     let address = listener.local_addr().map_err(io)?;
     let stop = state.stop.clone();
     let stopped = stop.subscribe();

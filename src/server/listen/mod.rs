@@ -29,7 +29,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::{Semaphore, watch};
 use tokio_rustls::TlsAcceptor;
 use tower::Service;
@@ -38,6 +38,8 @@ use tower::Service;
 const HEAD_BYTES_MAX: u32 = 32 << 10;
 /// After a failed accept: the next waits this long, or a lack of file handles becomes a busy loop.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
+/// Connections that the system holds until they are taken. With fewer, a burst makes callers wait a second for their next try.
+const WAITING_MAX: u32 = 8192;
 /// After the time of grace: statuses of calls that were ended go out.
 const LAST_WORDS: Duration = Duration::from_secs(1);
 
@@ -54,6 +56,15 @@ pub struct Listen {
 pub struct Peer {
     pub address: SocketAddr,
     pub guard: Arc<Guard>,
+}
+
+/// Listens on an address.
+pub fn bind(address: SocketAddr) -> std::io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    // A server that is started again need not wait for the last connections of the one before.
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(WAITING_MAX)
 }
 
 impl Listen {
