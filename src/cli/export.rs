@@ -4,9 +4,15 @@ use super::args::{Region, Source, ToleranceArgs, numbers};
 use super::mesh::{self, Packing};
 use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::reader::Reader;
+use super::remote::Remote;
 use crate::base::{Error, Result, limits};
-use crate::export::{FileRequest, Form, Going, Written, write_samples, write_surface};
+use crate::client;
+use crate::db::query::Query;
+use crate::export::{FileRequest, Form, Going, Place, Written, write_samples, write_surface};
+use crate::wire::v1;
 use clap::Args;
+use serde::Serialize;
+use serde_json::{Map, Value};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -57,17 +63,11 @@ struct OptionalTolerance {
 impl Export {
     pub fn run(self) -> Result<bool> {
         let source = Source { db: self.db.clone(), at: self.at, json: self.json };
-        let Reader::Disk(_, s) = source.open()? else {
-            return Err(Error::unsupported(
-                "export",
-                "a server writes no file yet",
-                "run it where the database's files are",
-            ));
-        };
+        let reader = source.open()?;
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        self.packing().only_for_glb(&ending)?;
         if let Some(name) = &self.survey {
-            self.packing().only_for_glb(&ending)?;
             if Form::of_ending(&ending) != Some(Form::GeoTiff) {
                 return Err(Error::invalid(
                     "--survey",
@@ -84,11 +84,17 @@ impl Export {
                 );
             }
             let tile = self.tile.as_deref();
-            let written = write_file(&self.out, |out, going| write_samples(out, &s, name, tile, going))?;
+            let s = match &reader {
+                Reader::Disk(_, s) => s,
+                Reader::Server(r) => {
+                    let (survey, tile) = (name.clone(), tile.unwrap_or_default().to_string());
+                    let format = wire_format(Form::GeoTiff) as i32;
+                    return self.ask(r, v1::FileRequest { format, survey, tile, ..Default::default() });
+                }
+            };
+            let written = write_file(&self.out, |out, going| write_samples(out, s, name, tile, going))?;
             return self.told(written, None);
         }
-        let place = self.region.place(&*s)?;
-        self.packing().only_for_glb(&ending)?;
         let form = Form::of_ending(&ending).ok_or_else(|| {
             Error::unsupported(
                 self.out.display(),
@@ -100,7 +106,13 @@ impl Export {
                 "name a .glb, .tif or .png file",
             )
         })?;
-        let query = self.tolerance.inner.query(&place, &*s, form.seams())?;
+        let ground = reader.ground()?;
+        let place = self.region.place(ground)?;
+        let query = self.tolerance.inner.query(&place, ground, form.seams())?;
+        let s = match &reader {
+            Reader::Disk(_, s) => s,
+            Reader::Server(r) => return self.ask(r, self.request(form, &place, &query)?),
+        };
         let request = FileRequest {
             form,
             place,
@@ -109,8 +121,67 @@ impl Export {
             packing: self.packing(),
             pixels_max: limits::RASTER_POSTS_MAX,
         };
-        let written = write_file(&self.out, |out, going| write_surface(out, &s, &request, going))?;
+        let written = write_file(&self.out, |out, going| write_surface(out, s, &request, going))?;
         self.told(written, Some(&request))
+    }
+
+    /// The question as a server takes it.
+    fn request(&self, form: Form, place: &Place, query: &Query) -> Result<v1::FileRequest> {
+        let asked = Remote::asked(query)?;
+        let [step_x, step_y] = self.step()?.unwrap_or_default();
+        let coords = place.coords.as_ref().and(self.region.coords.coords.clone()).unwrap_or_default();
+        let mut region = asked.region;
+        // A box is given in the caller's coordinates; a polygon has come to the database's.
+        let boxed = place.mask.is_none() && self.region.bbox.is_some();
+        if let (true, Some([xmin, ymin, xmax, ymax])) = (boxed, place.bounds) {
+            let b = v1::Box { xmin, ymin, xmax, ymax };
+            region = Some(v1::Region { kind: Some(v1::region::Kind::Box(b)) });
+        }
+        Ok(v1::FileRequest {
+            format: wire_format(form) as i32,
+            region,
+            tolerance: asked.tolerance,
+            blend: asked.blend,
+            seams: asked.seams,
+            step_x,
+            step_y,
+            quantize: self.packing.quantize,
+            meshopt: self.packing.meshopt,
+            region_in_database_crs: place.mask.is_some(),
+            coords,
+            ..Default::default()
+        })
+    }
+
+    /// Has a server write the file.
+    fn ask(&self, r: &Remote, request: v1::FileRequest) -> Result<bool> {
+        let request = v1::FileRequest { at: r.version, ..request };
+        let mut said = None;
+        write_whole(&self.out, |p| {
+            let mut out = BufWriter::new(File::create(p).map_err(|e| Error::io(p, e))?);
+            let asked = client::export::file(&r.line.connection, request, &mut out);
+            said = Some(r.line.wait(asked)?);
+            out.flush().map_err(|e| Error::io(p, e))
+        })?;
+        let Some(end) = said else { return Ok(true) };
+        end.notes.iter().for_each(|n| message(&format!("note: {n}")));
+        let found: Map<String, Value> = r.line.read(end.json.as_bytes())?;
+        let mut out = Output::new();
+        if self.json {
+            out.json(&Told { out: &self.out, written: &found })?;
+            return out.end();
+        }
+        let number = |name: &str| found.get(name).and_then(Value::as_f64).unwrap_or(0.0);
+        let counted = |name: &str| count(number(name) as u64);
+        let text = if found.contains_key("triangles") {
+            format!("{} triangles; error {:.3} m", counted("triangles"), number("error_m"))
+        } else if found.contains_key("posts") {
+            format!("{} posts as delivered", counted("posts"))
+        } else {
+            format!("{} x {}, error {:.3} m", number("cols"), number("rows"), number("error_m"))
+        };
+        out.line(format!("{}: {text}, {}", self.out.display(), bytes(end.bytes)))?;
+        out.end()
     }
 
     fn packing(&self) -> crate::export::Packing {
@@ -156,11 +227,19 @@ impl Export {
 }
 
 /// What is said of a file as JSON.
-#[derive(serde::Serialize)]
-struct Told<'a> {
+#[derive(Serialize)]
+struct Told<'a, T> {
     out: &'a Path,
     #[serde(flatten)]
-    written: &'a Written,
+    written: &'a T,
+}
+
+fn wire_format(form: Form) -> v1::file_request::Format {
+    match form {
+        Form::Glb => v1::file_request::Format::Glb,
+        Form::GeoTiff => v1::file_request::Format::Geotiff,
+        Form::Png => v1::file_request::Format::Png,
+    }
 }
 
 /// Writes a file as a whole, with a bar; Ctrl-C stops it.

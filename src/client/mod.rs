@@ -2,11 +2,12 @@
 //!
 //! - [`Address`]: where the server is and who asks; [`Connection`]: a channel to it, with a client for each service;
 //! - [`catalog`]: what is in the database, changes without samples; [`patches`]: what a region needs
-//! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen;
+//! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen; [`export`]: files;
 //! - [`ingest`]: sends surveys.
 
 pub mod catalog;
 mod connection;
+pub mod export;
 pub mod heights;
 pub mod ingest;
 pub mod patches;

@@ -8,6 +8,8 @@ mod survey;
 
 /// Commits as they happen, and where.
 mod commits;
+/// Files from a server are those of the command line, byte for byte.
+mod exports;
 /// A database of Mount St. Helens.
 mod hills;
 

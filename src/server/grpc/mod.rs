@@ -2,6 +2,7 @@
 
 mod arrival;
 mod catalog;
+mod export;
 mod files;
 mod heights;
 mod ingest;
@@ -11,6 +12,7 @@ mod report;
 mod watch;
 
 use super::State;
+use crate::wire::v1::export_server::ExportServer;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
 use crate::wire::v1::watch_server::WatchServer;
@@ -30,6 +32,7 @@ pub fn routes(state: &Arc<State>) -> Router {
         .max_encoding_message_size(MESSAGE_BYTES_MAX);
     let routes = Routes::new(v1)
         .add_service(catalog::service(state))
+        .add_service(ExportServer::new(export::ExportService::new(state.clone())))
         .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(QueryServer::new(query::QueryService::new(state.clone())))

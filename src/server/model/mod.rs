@@ -1,6 +1,7 @@
 //! Messages become our types here, once; behind it our types are trusted.
 
 mod catalog;
+pub mod export;
 pub mod heights;
 mod looser;
 mod page;

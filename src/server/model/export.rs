@@ -1,0 +1,104 @@
+//! A file that is asked for.
+
+use super::{area, how, tolerance};
+use crate::base::{Error, Result, limits};
+use crate::db::Snapshot;
+use crate::db::query::{Area, Query, Tolerance};
+use crate::export::{Coords, FileRequest, Form, Packing, Place};
+use crate::height::crs::AxisUnit;
+use crate::wire::v1;
+use crate::wire::v1::file_request::Format;
+use std::sync::Arc;
+
+/// Pixels of a picture: it is held in memory while it is drawn.
+const PICTURE_PIXELS_MAX: u64 = 64_000_000;
+
+/// What is to be written.
+pub enum File {
+    Surface(Box<FileRequest>),
+    /// A survey's own samples, of one tile.
+    Samples {
+        survey: String,
+        tile: Option<String>,
+    },
+}
+
+/// `pixels_max`: what the server allows of any raster.
+pub fn file(r: &v1::FileRequest, s: &Snapshot, pixels_max: u64) -> Result<File> {
+    let known = Format::try_from(r.format)
+        .map_err(|_| Error::invalid("format", format!("{} is none that this server knows", r.format)))?;
+    let form = match known {
+        Format::Unspecified => {
+            return Err(Error::invalid("format", "is missing; say FORMAT_GLB, FORMAT_GEOTIFF or FORMAT_PNG"));
+        }
+        Format::Glb => Form::Glb,
+        Format::Geotiff => Form::GeoTiff,
+        Format::Png => Form::Png,
+    };
+    let packing = Packing { quantize: r.quantize, meshopt: r.meshopt };
+    packing.only_for_glb(form.ending())?;
+    let text = |t: &str| (!t.is_empty()).then(|| t.to_string());
+    if let Some(survey) = text(&r.survey) {
+        if form != Form::GeoTiff {
+            return Err(Error::invalid(
+                "survey",
+                "a survey's samples are written as GeoTIFF; ask for that format",
+            ));
+        }
+        return Ok(File::Samples { survey, tile: text(&r.tile) });
+    }
+    if !r.tile.is_empty() {
+        return Err(Error::invalid("tile", format!("'{}' is of no survey; name it in `survey`", r.tile)));
+    }
+    let query = Query {
+        area: Area::Everything,
+        tolerance: tolerance(r.tolerance.as_ref())?,
+        how: how(r.blend, r.seams, form.seams())?,
+    };
+    if let (Tolerance::Camera(_), AxisUnit::Degree) = (&query.tolerance, s.crs().unit) {
+        return Err(Error::unsupported(
+            &s.crs().code,
+            "a camera needs metres, and this database is in degrees",
+            "ask with error_m",
+        ));
+    }
+    let place = place(r, s)?;
+    let query = Query { area: place.area.clone(), ..query };
+    let pixels_max = match form {
+        Form::Png => pixels_max.min(PICTURE_PIXELS_MAX),
+        _ => pixels_max.min(limits::RASTER_POSTS_MAX),
+    };
+    Ok(File::Surface(Box::new(FileRequest { form, place, query, step: step(r)?, packing, pixels_max })))
+}
+
+fn step(r: &v1::FileRequest) -> Result<Option<[f64; 2]>> {
+    let given = [r.step_x, r.step_y];
+    if given.iter().any(|v| !(v.is_finite() && *v >= 0.0)) {
+        return Err(Error::invalid("step_x, step_y", format!("{given:?}; they must be positive")));
+    }
+    Ok(match given {
+        [0.0, 0.0] => None,
+        [x, 0.0] => Some([x, x]),
+        [0.0, y] => Some([y, y]),
+        both => Some(both),
+    })
+}
+
+fn place(r: &v1::FileRequest, s: &Snapshot) -> Result<Place> {
+    let coords = Coords::of((!r.coords.is_empty()).then_some(&r.coords), s.crs())?;
+    match area(r.region.as_ref())? {
+        Area::Everything => Ok(Place::everywhere(coords, s.bounds())),
+        Area::Box(b) if r.region_in_database_crs && coords.is_some() => Err(Error::invalid(
+            "region_in_database_crs",
+            format!("goes with polygons; the box {b:?} is read in {}", r.coords),
+        )),
+        Area::Box(b) => Place::of_box(b, coords),
+        Area::Polygon(p) => {
+            let polygon = match &coords {
+                Some(c) if !r.region_in_database_crs => Arc::new(c.polygon("region.polygon", &p)?),
+                _ => p,
+            };
+            Ok(Place::of_polygon(polygon, coords))
+        }
+    }
+}
