@@ -188,7 +188,7 @@ impl Remote {
         };
         let found = self.line.wait(patches::patches(&self.line.connection, request))?;
         let mut records = found.patches.iter().map(|p| self.record(p)).collect::<Result<Vec<_>>>()?;
-        records.sort_by(|a, b| a.id.cmp(&b.id));
+        records.sort_by_key(|r| r.id);
         let how = found.end.explanation.unwrap_or_default();
         Ok(Needed { version: self.version, records, nodes: how.nodes, tested: how.tested })
     }
