@@ -159,7 +159,6 @@ fn every_reading_command_says_the_same_over_a_server() {
         (format!("slope DB OUT --error 0 {BOX} --step 8"), "slope.tif"),
         (format!("aspect DB OUT --error 0 {BOX} --step 8 --json"), "aspect.png"),
         (format!("hillshade DB OUT --error 0 --polygon {polygon} --step 8"), "shade.png"),
-        (format!("export DB OUT --error 2 {BOX} --json"), "mesh.glb"),
         (format!("export DB OUT --error 0 --polygon {polygon}"), "heights.tif"),
         (format!("export DB OUT --error 1 {BOX} --step 8"), "relief.png"),
         ("export DB OUT --survey dome-2004-10-04 --json".into(), "delivered.tif"),
