@@ -177,8 +177,10 @@ impl Export {
             format!("{} triangles; error {:.3} m", counted("triangles"), number("error_m"))
         } else if found.contains_key("posts") {
             format!("{} posts as delivered", counted("posts"))
+        } else if self.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+            format!("{} x {} pixels, coloured by patch size", number("cols"), number("rows"))
         } else {
-            format!("{} x {}, error {:.3} m", number("cols"), number("rows"), number("error_m"))
+            format!("{} x {} posts, error {:.3} m", number("cols"), number("rows"), number("error_m"))
         };
         out.line(format!("{}: {text}, {}", self.out.display(), bytes(end.bytes)))?;
         out.end()

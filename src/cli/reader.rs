@@ -80,11 +80,7 @@ impl Reader {
                 meter.clear();
                 Ok(Reader::Disk(db, Box::new(only?)))
             }
-            Reader::Server(r) => Err(Error::unsupported(
-                &r.line.connection.server,
-                "a server answers from whole versions, not from some of the surveys",
-                "compare two versions with --from and --to, or run the command where the database's files are",
-            )),
+            Reader::Server(r) => Ok(Reader::Server(r.only(surveys)?)),
         }
     }
 

@@ -16,6 +16,7 @@ use crate::store::quadtree::Record;
 use crate::wire::v1;
 use serde::de::DeserializeOwned;
 use std::cell::OnceCell;
+use std::collections::BTreeMap;
 use std::rc::Rc;
 
 /// One version, behind a server.
@@ -26,6 +27,8 @@ pub struct Remote {
     crs: Crs,
     unit: LatticeUnit,
     bounds: Option<[f64; 4]>,
+    /// Heights are asked as if only these were there; empty: all are.
+    only: Vec<String>,
     /// Asked for when they are first needed.
     frames: OnceCell<Vec<v1::SurveyFrame>>,
 }
@@ -54,9 +57,28 @@ impl Remote {
             crs: Crs { code: ground.crs, unit },
             unit: LatticeUnit { exponent },
             bounds: ground.bounds.map(|b| [b.xmin, b.ymin, b.xmax, b.ymax]).filter(|_| !nothing),
+            only: Vec::new(),
             frames,
             line,
         })
+    }
+
+    /// This version as if only some surveys were in it, to be measured.
+    pub fn only(self, surveys: &[String]) -> Result<Remote> {
+        if surveys.is_empty() {
+            return Err(Error::invalid("surveys", "none is named; `terraquilt surveys DB` lists them"));
+        }
+        let mut frames = BTreeMap::new();
+        for name in surveys {
+            let found = self.line.wait(catalog::survey(&self.line.connection, self.version, name))?;
+            frames.extend(found.frame.map(|f| (f.survey, f)));
+        }
+        let all: Vec<v1::SurveyFrame> = frames.into_values().collect();
+        let one = Remote { only: surveys.to_vec(), frames: OnceCell::from(all), ..self };
+        let size = one.unit.size();
+        let around = one.posts().map(|p| p.bounds()).reduce(|a, b| a.union(&b));
+        let bounds = around.map(|b| [b.min.x, b.min.y, b.max.x, b.max.y].map(|v| v as f64 * size));
+        Ok(Remote { bounds, ..one })
     }
 
     /// As a ground to measure: with its surveys.
@@ -166,7 +188,7 @@ impl Remote {
         };
         let found = self.line.wait(self.line.connection.patches(request))?;
         let mut records = found.patches.iter().map(|p| self.record(p)).collect::<Result<Vec<_>>>()?;
-        records.sort_by(|a, b| a.id.cmp(&b.id));
+        records.sort_by_key(|r| r.id);
         let how = found.end.explanation.unwrap_or_default();
         Ok(Needed { version: self.version, records, nodes: how.nodes, tested: how.tested })
     }
@@ -189,6 +211,7 @@ impl Remote {
             blend: blend as i32,
             seams: seams as i32,
             at: self.version,
+            only_surveys: self.only.clone(),
             ..Default::default()
         })
     }

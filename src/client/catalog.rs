@@ -38,6 +38,12 @@ pub async fn surveys(c: &Connection, at: u64, frames_only: bool) -> Result<v1::L
     }
 }
 
+/// A survey by its name, or the beginning of its id.
+pub async fn survey(c: &Connection, at: u64, survey: &str) -> Result<v1::GetSurveyReply> {
+    let request = v1::GetSurveyRequest { at, survey: survey.to_string() };
+    c.answer(c.catalog().get_survey(request).await)
+}
+
 /// All tiles of a survey.
 pub async fn tiles(c: &Connection, at: u64, survey: &str) -> Result<v1::ListTilesReply> {
     let mut all = v1::ListTilesReply::default();

@@ -1,9 +1,11 @@
 //! The database as it is now: the newest version, opened once and shared by all who ask; who waits for newer ones is told.
 
 use crate::base::Result;
-use crate::db::{Db, Snapshot};
+use crate::db::{Db, Progress, Snapshot};
+use crate::height::lod::SurveyNumber;
 use arc_swap::ArcSwap;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -25,6 +27,8 @@ pub struct Live {
     newest: ArcSwap<Snapshot>,
     arrivals: watch::Sender<Arrival>,
     older: Mutex<VecDeque<Arc<Snapshot>>>,
+    subsets: Mutex<VecDeque<(BTreeSet<SurveyNumber>, Arc<Snapshot>)>>,
+    making: tokio::sync::Mutex<()>,
     looking: Mutex<()>,
 }
 
@@ -37,6 +41,8 @@ impl Live {
             newest: ArcSwap::new(newest),
             arrivals,
             older: Mutex::default(),
+            subsets: Mutex::default(),
+            making: Default::default(),
             looking: Mutex::default(),
         })
     }
@@ -71,6 +77,31 @@ impl Live {
     /// Closes versions that nobody reads any more.
     pub fn close_older(&self) {
         self.older.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.subsets.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// A version as if only some of its surveys were in it. Takes the time of a commit unless the same was asked lately: call
+    /// it where that is allowed, with [`Live::one_subset`] held.
+    pub fn only(&self, at: u64, surveys: &[String]) -> Result<Arc<Snapshot>> {
+        let whole = self.snapshot(at)?;
+        let kept: BTreeSet<SurveyNumber> =
+            surveys.iter().map(|n| Ok(whole.survey(n)?.number)).collect::<Result<_>>()?;
+        let subsets = || self.subsets.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = |k: &BTreeSet<SurveyNumber>, s: &Snapshot| *k == kept && s.number() == whole.number();
+        if let Some((_, s)) = subsets().iter().find(|(k, s)| known(k, s)) {
+            return Ok(s.clone());
+        }
+        let (report, stop) = (|_: &str, _: f64| {}, AtomicBool::new(false));
+        let made = Arc::new(whole.only(surveys, &Progress { report: &report, stop: &stop })?);
+        let mut subsets = subsets();
+        subsets.push_front((kept, made.clone()));
+        subsets.truncate(OLDER_OPEN);
+        Ok(made)
+    }
+
+    /// Each subset that is being made holds memory of its own: one at a time.
+    pub async fn one_subset(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.making.lock().await
     }
 
     /// Looks for a newer version and makes it the newest. Returns its number.

@@ -129,6 +129,8 @@ fn every_reading_command_says_the_same_over_a_server() {
         format!("statistics DB --error 1 --polygon {polygon} --step 8 --json"),
         format!("volume DB --from 1 --to 3 --error 0 {BOX} --step 8"),
         format!("volume DB --from 1 --error 0 {BOX} --step 8 --json"),
+        format!("volume DB --from-surveys crater-2000 --to-surveys dome-2004-10-13 --error 0 {BOX} --step 8"),
+        format!("volume DB --from-surveys dome-2004-10-04,crater-2000 --error 1 {BOX} --json"),
         "contradictions DB".into(),
         "contradictions DB --json".into(),
         "contradictions DB --surveys dome-2004-10-04,dome-2004-10-13".into(),
@@ -157,6 +159,9 @@ fn every_reading_command_says_the_same_over_a_server() {
         (format!("slope DB OUT --error 0 {BOX} --step 8"), "slope.tif"),
         (format!("aspect DB OUT --error 0 {BOX} --step 8 --json"), "aspect.png"),
         (format!("hillshade DB OUT --error 0 --polygon {polygon} --step 8"), "shade.png"),
+        (format!("export DB OUT --error 0 --polygon {polygon}"), "heights.tif"),
+        (format!("export DB OUT --error 1 {BOX} --step 8"), "relief.png"),
+        ("export DB OUT --survey dome-2004-10-04 --json".into(), "delivered.tif"),
         (format!("difference DB OUT --from 1 --error 0 {BOX} --step 8"), "change.tif"),
         (format!("difference DB OUT --from 1 --to 3 --error 0 {BOX} --step 8 --json"), "change.png"),
     ] {
@@ -181,7 +186,8 @@ fn what_cannot_be_asked_of_a_server_is_said_in_a_line() {
     let with = |line: &str| program(&line.replace("ADDR", &address).split(' ').collect::<Vec<_>>());
     fails(&with("surveys --server ADDR --at 99"), &[&address, "version 99", "not found"]);
     fails(&with("tiles nowhere --server ADDR"), &[&address, "survey 'nowhere' not found"]);
-    fails(&with("volume --from-surveys crater-2000 --error 0 --server=ADDR"), &[&address, "whole versions"]);
+    let volume = with("volume --from-surveys crater-2000,none --error 0 --server=ADDR");
+    fails(&volume, &[&address, "survey 'none' not found"]);
     fails(&with("contradictions where.png --server ADDR"), &[&address, "leave the file out"]);
     // Another way to write it.
     let listed = with("surveys http://ADDR");

@@ -83,7 +83,7 @@ pub fn report(state: &Arc<State>, s: Arc<Snapshot>, r: v1::ReportRequest) -> Res
             let reason = format!("{} is none that this server knows; see catalog.proto", r.kind);
             return Err(Error::invalid("kind", reason));
         }
-        Kind::Redundant => rest(|s| db::contributions(s)),
+        Kind::Redundant => rest(db::contributions),
         Kind::Provenance => {
             let how = model::how(r.blend, r.seams, Seams::Off)?;
             let query = model::query(r.region.as_ref(), r.tolerance.as_ref(), how)?;
