@@ -214,11 +214,11 @@ fn of_patches(mut patches: Vec<v1::Patch>, mut masks: Vec<v1::MaskBlock>) -> Dig
 fn of_heights(found: &[Option<Evaluation>]) -> Digest {
     let mut h = blake3::Hasher::new();
     for e in found {
-        let numbers = e.map_or([f64::NAN; 4], |e| [e.z, e.error_m, e.accuracy_m, e.correction_m]);
+        let numbers = e.as_ref().map_or([f64::NAN; 4], |e| [e.z, e.error_m, e.accuracy_m, e.correction_m]);
         numbers.iter().for_each(|v| {
             h.update(&v.to_bits().to_le_bytes());
         });
-        h.update(&e.map_or([2, 2], |e| [u8::from(e.certified), u8::from(e.contradiction)]));
+        h.update(&e.as_ref().map_or([2, 2], |e| [u8::from(e.certified), u8::from(e.contradiction)]));
     }
     *h.finalize().as_bytes()
 }
