@@ -227,7 +227,7 @@ impl Flight {
             radius,
             z: ground.z_max() + 300.0,
             start: k as f64 * 2.399,
-            turn: step / radius * if k % 2 == 0 { 1.0 } else { -1.0 },
+            turn: step / radius * if k.is_multiple_of(2) { 1.0 } else { -1.0 },
         }
     }
 

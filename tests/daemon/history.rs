@@ -238,6 +238,9 @@ struct World {
     coarse: f64,
 }
 
+/// Between two questions of a client: so few answers that without optimisation they are checked in seconds.
+const PAUSE: Duration = Duration::from_millis(if cfg!(debug_assertions) { 200 } else { 10 });
+
 /// A view that moves until told to stop.
 async fn look(c: Connection, world: Arc<World>, seed: u64, stop: Arc<AtomicBool>) -> Vec<Answered> {
     let mut r = Random(seed);
@@ -268,7 +271,7 @@ async fn look(c: Connection, world: Arc<World>, seed: u64, stop: Arc<AtomicBool>
             if stop.load(Ordering::Relaxed) {
                 return out;
             }
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            tokio::time::sleep(PAUSE).await;
             next = Asked::patches(&mut r, &world);
             due = view.steer(next.region(), next.tolerance()).await.unwrap();
         }
@@ -298,7 +301,7 @@ async fn ask(c: Connection, world: Arc<World>, seed: u64, stop: Arc<AtomicBool>)
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        tokio::time::sleep(Duration::from_millis(20)).await;
+        tokio::time::sleep(PAUSE).await;
     }
     out
 }
