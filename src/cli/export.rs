@@ -12,7 +12,6 @@ use crate::export::{FileRequest, Form, Going, Place, Written, write_samples, wri
 use crate::wire::v1;
 use clap::Args;
 use serde::Serialize;
-use serde_json::{Map, Value};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -89,7 +88,8 @@ impl Export {
                 Reader::Server(r) => {
                     let (survey, tile) = (name.clone(), tile.unwrap_or_default().to_string());
                     let format = wire_format(Form::GeoTiff) as i32;
-                    return self.ask(r, v1::FileRequest { format, survey, tile, ..Default::default() });
+                    let request = v1::FileRequest { format, survey, tile, ..Default::default() };
+                    return self.ask(r, Form::GeoTiff, request);
                 }
             };
             let written = write_file(&self.out, |out, going| write_samples(out, s, name, tile, going))?;
@@ -111,7 +111,7 @@ impl Export {
         let query = self.tolerance.inner.query(&place, ground, form.seams())?;
         let s = match &reader {
             Reader::Disk(_, s) => s,
-            Reader::Server(r) => return self.ask(r, self.request(form, &place, &query)?),
+            Reader::Server(r) => return self.ask(r, form, self.request(form, &place, &query)?),
         };
         let request = FileRequest {
             form,
@@ -154,7 +154,7 @@ impl Export {
     }
 
     /// Has a server write the file.
-    fn ask(&self, r: &Remote, request: v1::FileRequest) -> Result<bool> {
+    fn ask(&self, r: &Remote, form: Form, request: v1::FileRequest) -> Result<bool> {
         let request = v1::FileRequest { at: r.version, ..request };
         let mut said = None;
         write_whole(&self.out, |p| {
@@ -165,25 +165,8 @@ impl Export {
         })?;
         let Some(end) = said else { return Ok(true) };
         end.notes.iter().for_each(|n| message(&format!("note: {n}")));
-        let found: Map<String, Value> = r.line.read(end.json.as_bytes())?;
-        let mut out = Output::new();
-        if self.json {
-            out.json(&Told { out: &self.out, written: &found })?;
-            return out.end();
-        }
-        let number = |name: &str| found.get(name).and_then(Value::as_f64).unwrap_or(0.0);
-        let counted = |name: &str| count(number(name) as u64);
-        let text = if found.contains_key("triangles") {
-            format!("{} triangles; error {:.3} m", counted("triangles"), number("error_m"))
-        } else if found.contains_key("posts") {
-            format!("{} posts as delivered", counted("posts"))
-        } else if self.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
-            format!("{} x {} pixels, coloured by patch size", number("cols"), number("rows"))
-        } else {
-            format!("{} x {} posts, error {:.3} m", number("cols"), number("rows"), number("error_m"))
-        };
-        out.line(format!("{}: {text}, {}", self.out.display(), bytes(end.bytes)))?;
-        out.end()
+        let written: Written = r.line.read(end.json.as_bytes())?;
+        self.print(&written, form, end.bytes)
     }
 
     fn packing(&self) -> crate::export::Packing {
@@ -209,17 +192,21 @@ impl Export {
             .notes(request.map(|r| &r.query.tolerance))
             .iter()
             .for_each(|n| message(&format!("note: {n}")));
+        let size = std::fs::metadata(&self.out).map_or(0, |m| m.len());
+        self.print(&written, request.map_or(Form::GeoTiff, |r| r.form), size)
+    }
+
+    fn print(&self, written: &Written, form: Form, size: u64) -> Result<bool> {
         let mut out = Output::new();
         if self.json {
-            out.json(&Told { out: &self.out, written: &written })?;
+            out.json(&Told { out: &self.out, written })?;
             return out.end();
         }
-        let size = std::fs::metadata(&self.out).map_or(0, |m| m.len());
-        let text = match &written {
+        let text = match written {
             Written::Mesh(m) => mesh::text(m),
             Written::Samples { posts, .. } => format!("{} posts as delivered", count(*posts)),
-            Written::Raster { cols, rows, error_m, .. } => match request.map(|r| r.form) {
-                Some(Form::Png) => format!("{cols} x {rows} pixels, coloured by patch size"),
+            Written::Raster { cols, rows, error_m, .. } => match form {
+                Form::Png => format!("{cols} x {rows} pixels, coloured by patch size"),
                 _ => format!("{cols} x {rows} posts, error {error_m:.3} m"),
             },
         };

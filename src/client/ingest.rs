@@ -2,7 +2,7 @@
 
 use super::Connection;
 use crate::base::{Error, Result};
-use crate::wire::{MESSAGE_BYTES, v1};
+use crate::wire::{MESSAGE_BYTES, crc32, v1};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::error::Error as _;
@@ -290,7 +290,7 @@ fn block(
         row,
         rows: rows as u32,
         packing: packing as i32,
-        crc32c: crc32c::crc32c(&samples),
+        crc32: crc32(&samples),
         samples: samples.into(),
     })
 }

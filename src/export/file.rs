@@ -12,7 +12,7 @@ use crate::format::relief::{Relief, write_relief};
 use crate::height::crs::Crs;
 use crate::height::source::{Affine, SampleType};
 use crate::height::surface::Seams;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::io::{Seek, Write};
 
 /// How a file that is written is called in errors.
@@ -69,11 +69,11 @@ pub struct FileRequest {
 }
 
 /// What there is to say of a file.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Written {
     Mesh(MeshFound),
-    Raster { cols: usize, rows: usize, error_m: f64, seams: &'static str },
+    Raster { cols: usize, rows: usize, error_m: f64, seams: String },
     Samples { posts: u64, masked_posts: u64 },
 }
 
@@ -151,7 +151,7 @@ pub fn write_surface(
         Form::GeoTiff => tif(out, s, &r.query, &raster, going)?,
         _ => png(out, s, &r.query, &raster, going)?,
     };
-    Ok(Written::Raster { cols, rows, error_m, seams: r.query.how.seams.name() })
+    Ok(Written::Raster { cols, rows, error_m, seams: r.query.how.seams.name().into() })
 }
 
 /// The patch sizes drawn red and blue (log2 of metres): those in the picture, at least four octaves apart, so that sizes

@@ -44,7 +44,7 @@ impl Packing {
 const LATTICE_SHARE: f64 = 1.0 / 32.0;
 
 /// What a mesh export found.
-#[derive(Debug, serde::Serialize)]
+#[derive(Debug, serde::Serialize, serde::Deserialize)]
 pub struct MeshFound {
     pub vertices: u64,
     pub triangles: u64,
@@ -56,7 +56,7 @@ pub struct MeshFound {
     pub tolerance_used: Option<f64>,
     /// Largest correction of seams, part of the surface's error.
     pub correction_m: f64,
-    pub seams: &'static str,
+    pub seams: String,
     /// Of compact meshes.
     #[serde(flatten)]
     pub compacted: Option<Compacted>,
@@ -128,7 +128,7 @@ pub fn write_mesh(
         mesh_error_m: r.mesh.error_m,
         tolerance_used: r.tolerance_used,
         correction_m: r.correction_m,
-        seams: query.how.seams.name(),
+        seams: query.how.seams.name().into(),
         compacted,
         measured_points: r.mesh.measured_points,
         seconds: started.elapsed().as_secs_f64(),

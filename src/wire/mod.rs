@@ -14,6 +14,13 @@ pub const MESSAGE_BYTES: usize = 1 << 20;
 /// The largest message that is taken, whoever sends it.
 pub const MESSAGE_BYTES_MAX: usize = 4 << 20;
 
+/// The checksum of a block of samples: CRC-32 as zlib has it.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    let mut crc = flate2::Crc::new();
+    crc.update(bytes);
+    crc.sum()
+}
+
 impl v1::Grid {
     /// Bytes of one row as it is sent: samples, and the mask behind them. `None`: the type is unknown, or there is no such row.
     pub fn row_bytes(&self) -> Option<u64> {

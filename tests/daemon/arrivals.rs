@@ -98,7 +98,7 @@ async fn blocks_come_in_any_order_and_twice() {
     // Again, with other bytes: rows that are there stay as they are.
     let mut other = survey.block(0, 20, 10);
     other.samples = vec![0; 4000].into();
-    other.crc32c = crc32c::crc32c(&other.samples);
+    other.crc32 = terraquilt::wire::crc32(&other.samples);
     call.block(other).await;
     call.block(survey.block(1, 5, 50)).await;
     call.finish().await;

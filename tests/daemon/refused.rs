@@ -18,7 +18,7 @@ async fn bad_blocks_are_refused_and_the_rest_is_kept() {
     let survey = hills("hills", 600, 0.0, 1);
     let good = || survey.block(0, 0, 10);
     let sealed = |mut b: v1::SampleBlock| {
-        b.crc32c = crc32c::crc32c(&b.samples);
+        b.crc32 = terraquilt::wire::crc32(&b.samples);
         b
     };
     let zlib = |bytes: usize| {
@@ -28,7 +28,7 @@ async fn bad_blocks_are_refused_and_the_rest_is_kept() {
         z.finish().unwrap()
     };
     let cases: Vec<(v1::SampleBlock, &str)> = vec![
-        (v1::SampleBlock { crc32c: 5, ..good() }, "checksum"),
+        (v1::SampleBlock { crc32: 5, ..good() }, "checksum"),
         (v1::SampleBlock { grid: 1, ..good() }, "header describes 1"),
         (v1::SampleBlock { row: 595, ..good() }, "rows 0 to 599"),
         (v1::SampleBlock { row: u64::MAX, ..good() }, "rows 0 to 599"),

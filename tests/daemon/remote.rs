@@ -161,6 +161,8 @@ fn every_reading_command_says_the_same_over_a_server() {
         (format!("hillshade DB OUT --error 0 --polygon {polygon} --step 8"), "shade.png"),
         (format!("export DB OUT --error 0 --polygon {polygon}"), "heights.tif"),
         (format!("export DB OUT --error 1 {BOX} --step 8"), "relief.png"),
+        (format!("export DB OUT --error 6 {BOX}"), "dome.glb"),
+        (format!("export DB OUT --error 6 {BOX} --quantize"), "small.glb"),
         ("export DB OUT --survey dome-2004-10-04 --json".into(), "delivered.tif"),
         (format!("difference DB OUT --from 1 --error 0 {BOX} --step 8"), "change.tif"),
         (format!("difference DB OUT --from 1 --to 3 --error 0 {BOX} --step 8 --json"), "change.png"),

@@ -51,7 +51,7 @@ impl Survey {
             row,
             rows: rows as u32,
             packing: 0,
-            crc32c: crc32c::crc32c(&samples),
+            crc32: terraquilt::wire::crc32(&samples),
             samples: samples.into(),
         }
     }

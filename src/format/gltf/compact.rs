@@ -45,7 +45,7 @@ pub struct Compact {
 }
 
 /// What [`write_compact_glb`] did.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Compacted {
     /// The lattice, a power of two, metres.
     pub quantum_m: f64,

@@ -6,8 +6,8 @@ use crate::base::{Error, Result};
 use crate::format;
 use crate::height::source::{HeightSource, Samples, SourceInfo, Window};
 use crate::server::model::upload::{Said, StagedGrid};
-use crate::wire::MESSAGE_BYTES;
 use crate::wire::v1::{RowSpan, SampleBlock, sample_block::Packing};
+use crate::wire::{self, MESSAGE_BYTES};
 use flate2::read::ZlibDecoder;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read};
@@ -314,13 +314,13 @@ pub fn unpack(block: &SampleBlock, grids: &[StagedGrid]) -> Result<Block> {
     if wanted > MESSAGE_BYTES as u64 && span.rows > 1 {
         return Err(Error::limit(format!("bytes of a {}", place()), MESSAGE_BYTES as u64, wanted));
     }
-    let found = crc32c::crc32c(&block.samples);
-    if found != block.crc32c {
+    let found = wire::crc32(&block.samples);
+    if found != block.crc32 {
         return Err(Error::invalid(
             place(),
             format!(
                 "its samples have the checksum {found:#010x}, {:#010x} was told; call again and send it once more",
-                block.crc32c
+                block.crc32
             ),
         ));
     }
