@@ -33,8 +33,13 @@ impl Output {
         self.out.write_all(bytes).map_err(|e| Error::io("standard output", e))
     }
 
+    /// Shows what was written so far.
+    pub fn show(&mut self) -> Result<()> {
+        self.out.flush().map_err(|e| Error::io("standard output", e))
+    }
+
     pub fn end(mut self) -> Result<bool> {
-        self.out.flush().map_err(|e| Error::io("standard output", e))?;
+        self.show()?;
         Ok(true)
     }
 }

@@ -125,10 +125,13 @@ pub async fn tell(dir: &Path) -> Result<bool> {
         View::open(&daemon.client, Opening { tolerance: Some(within(VIEW_M)), ..Opening::default() }).await?;
     for b in &SURVEYS {
         arrive(&daemon, &mut view, b, &mut out).await?;
+        out.show()?;
     }
 
     ask(&daemon, &mut view, &mut out).await?;
+    out.show()?;
     same_in_any_order(&daemon, dir, &mut out).await?;
+    out.show()?;
     draw(&daemon, dir, &mut out).await?;
     drop(view);
     daemon.server.stop().await?;
