@@ -50,6 +50,7 @@ fn endure(what: &str, mut request: impl FnMut(&Caller, &str, &mut u64) -> Vec<Ve
         let sent = request(&caller, method, &mut seed);
         let end = caller.call(method, &sent);
         assert_ne!(end.code, Some(tonic::Code::Internal), "{method}, state {was}: {}", end.message);
+        assert_ne!(end.code, Some(tonic::Code::Unimplemented), "{method}: {}", end.message);
         *ends.entry(format!("{:?}", end.code)).or_default() += 1;
     }
     println!("{what}: {k} requests, {ends:?}, peak {} MiB more", peak_kib().saturating_sub(before) / 1024);
