@@ -96,9 +96,11 @@ async fn manner(state: &Arc<State>, header: Option<HeightsHeader>) -> Answer<Arc
     };
     let live = state.live.clone();
     if !header.only_surveys.is_empty() {
-        let _one = live.one_subset().await;
-        let (live, at) = (live.clone(), header.at);
-        let made = move || Manner::new(&header, live.only(at, &header.only_surveys)?).map(Arc::new);
+        let one = live.one_subset().await;
+        let made = move || {
+            let _one = one;
+            Manner::new(&header, live.only(header.at, &header.only_surveys)?).map(Arc::new)
+        };
         return state.pools.work(made).await;
     }
     state.pools.answer(move || Ok(Arc::new(Manner::new(&header, live.snapshot(header.at)?)?))).await
