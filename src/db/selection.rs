@@ -54,7 +54,9 @@ pub fn difference(from: &[Record], to: &[Record]) -> Difference {
         match (o, n) {
             (Some(o), None) => d.removed.push(*o),
             (None, Some(n)) => d.added.push(*n),
-            (Some(o), Some(n)) if (o.top, o.floor, o.survey) != (n.top, n.floor, n.survey) => d.changed.push(*n),
+            (Some(o), Some(n)) if (o.top, o.floor, o.survey) != (n.top, n.floor, n.survey) => {
+                d.changed.push(*n)
+            }
             _ => {}
         }
     }
