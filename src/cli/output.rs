@@ -13,9 +13,15 @@ pub struct Output {
     out: BufWriter<StdoutLock<'static>>,
 }
 
+impl Default for Output {
+    fn default() -> Output {
+        Output { out: BufWriter::new(std::io::stdout().lock()) }
+    }
+}
+
 impl Output {
     pub fn new() -> Output {
-        Output { out: BufWriter::new(std::io::stdout().lock()) }
+        Output::default()
     }
 
     pub fn line(&mut self, text: impl AsRef<str>) -> Result<()> {
@@ -73,9 +79,15 @@ pub struct Meter {
     terminal: bool,
 }
 
+impl Default for Meter {
+    fn default() -> Meter {
+        Meter { started: Instant::now(), bar: Mutex::new(None), terminal: std::io::stderr().is_terminal() }
+    }
+}
+
 impl Meter {
     pub fn new() -> Meter {
-        Meter { started: Instant::now(), bar: Mutex::new(None), terminal: std::io::stderr().is_terminal() }
+        Meter::default()
     }
 
     /// Whether anybody sees it by now.

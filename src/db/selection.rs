@@ -33,7 +33,7 @@ pub struct Selection {
 pub struct Difference {
     pub added: Vec<Record>,
     pub removed: Vec<Record>,
-    /// Same patch, other top or floor: as it is now.
+    /// Same patch, other top or floor, or of another survey (that was removed and came again): as it is now.
     pub changed: Vec<Record>,
 }
 
@@ -54,7 +54,9 @@ pub fn difference(from: &[Record], to: &[Record]) -> Difference {
         match (o, n) {
             (Some(o), None) => d.removed.push(*o),
             (None, Some(n)) => d.added.push(*n),
-            (Some(o), Some(n)) if o.top != n.top || o.floor != n.floor => d.changed.push(*n),
+            (Some(o), Some(n)) if (o.top, o.floor, o.survey) != (n.top, n.floor, n.survey) => {
+                d.changed.push(*n)
+            }
             _ => {}
         }
     }

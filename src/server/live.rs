@@ -7,11 +7,13 @@ use arc_swap::ArcSwap;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// Older versions that stay open, so that asking for them again is cheap.
-const OLDER_OPEN: usize = 4;
+/// Older versions, and subsets of surveys, that stay open, so that asking for them again is cheap.
+const OPEN_MAX: usize = 4;
+/// How long they stay open when nobody asks for them: an open version cannot be pruned, and holds memory.
+const OPEN_FOR: Duration = Duration::from_secs(60);
 /// How often the catalog is asked for commits of other processes.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
 
@@ -21,14 +23,38 @@ pub struct Arrival {
     pub snapshot: Arc<Snapshot>,
 }
 
+/// A version that stays open for a while, or a subset of its surveys.
+struct Open {
+    surveys: BTreeSet<SurveyNumber>,
+    snapshot: Arc<Snapshot>,
+    asked: Instant,
+}
+
+/// The one asked for lately comes to the front.
+fn again(open: &Mutex<VecDeque<Open>>, at: u64, surveys: &BTreeSet<SurveyNumber>) -> Option<Arc<Snapshot>> {
+    let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
+    let k = open.iter().position(|o| o.snapshot.number() == at && o.surveys == *surveys)?;
+    let mut found = open.remove(k)?;
+    found.asked = Instant::now();
+    let snapshot = found.snapshot.clone();
+    open.push_front(found);
+    Some(snapshot)
+}
+
+fn keep(open: &Mutex<VecDeque<Open>>, surveys: BTreeSet<SurveyNumber>, snapshot: &Arc<Snapshot>) {
+    let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
+    open.push_front(Open { surveys, snapshot: snapshot.clone(), asked: Instant::now() });
+    open.truncate(OPEN_MAX);
+}
+
 /// A database and its newest version.
 pub struct Live {
     db: Arc<Db>,
     newest: ArcSwap<Snapshot>,
     arrivals: watch::Sender<Arrival>,
-    older: Mutex<VecDeque<Arc<Snapshot>>>,
-    subsets: Mutex<VecDeque<(BTreeSet<SurveyNumber>, Arc<Snapshot>)>>,
-    making: tokio::sync::Mutex<()>,
+    older: Mutex<VecDeque<Open>>,
+    subsets: Mutex<VecDeque<Open>>,
+    making: Arc<tokio::sync::Mutex<()>>,
     looking: Mutex<()>,
 }
 
@@ -57,27 +83,37 @@ impl Live {
     }
 
     /// A version; 0: the newest. Reads the catalog unless it is open already: call it where blocking is allowed.
+    ///
+    /// Once a version was answered for, no later question for the newest one is answered with an older one.
     pub fn snapshot(&self, at: u64) -> Result<Arc<Snapshot>> {
+        if at > self.newest().number() {
+            // Another process has made it a moment ago, or nobody has.
+            self.look()?;
+        }
         let newest = self.newest();
         if at == 0 || newest.number() == at {
             return Ok(newest);
         }
-        let mut older = self.older.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(k) = older.iter().position(|s| s.number() == at) {
-            let found = older.remove(k).expect("the position was found");
-            older.push_front(found.clone());
+        if let Some(found) = again(&self.older, at, &BTreeSet::new()) {
             return Ok(found);
         }
         let opened = Arc::new(self.db.snapshot(Some(at))?);
-        older.push_front(opened.clone());
-        older.truncate(OLDER_OPEN);
+        keep(&self.older, BTreeSet::new(), &opened);
         Ok(opened)
     }
 
     /// Closes versions that nobody reads any more.
     pub fn close_older(&self) {
-        self.older.lock().unwrap_or_else(PoisonError::into_inner).clear();
-        self.subsets.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.close(|_| false);
+    }
+
+    fn close(&self, stays: impl Fn(&Open) -> bool) {
+        for open in [&self.older, &self.subsets] {
+            let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
+            let (left, gone): (VecDeque<Open>, VecDeque<Open>) = open.drain(..).partition(&stays);
+            *open = left;
+            drop((open, gone));
+        }
     }
 
     /// A version as if only some of its surveys were in it. Takes the time of a commit unless the same was asked lately: call
@@ -86,30 +122,27 @@ impl Live {
         let whole = self.snapshot(at)?;
         let kept: BTreeSet<SurveyNumber> =
             surveys.iter().map(|n| Ok(whole.survey(n)?.number)).collect::<Result<_>>()?;
-        let subsets = || self.subsets.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = |k: &BTreeSet<SurveyNumber>, s: &Snapshot| *k == kept && s.number() == whole.number();
-        if let Some((_, s)) = subsets().iter().find(|(k, s)| known(k, s)) {
-            return Ok(s.clone());
+        if let Some(found) = again(&self.subsets, whole.number(), &kept) {
+            return Ok(found);
         }
         let (report, stop) = (|_: &str, _: f64| {}, AtomicBool::new(false));
         let made = Arc::new(whole.only(surveys, &Progress { report: &report, stop: &stop })?);
-        let mut subsets = subsets();
-        subsets.push_front((kept, made.clone()));
-        subsets.truncate(OLDER_OPEN);
+        keep(&self.subsets, kept, &made);
         Ok(made)
     }
 
-    /// Each subset that is being made holds memory of its own: one at a time.
-    pub async fn one_subset(&self) -> tokio::sync::MutexGuard<'_, ()> {
-        self.making.lock().await
+    /// Each subset that is being made holds memory of its own: one at a time. Goes along with the making, which does not end
+    /// with its caller.
+    pub async fn one_subset(&self) -> tokio::sync::OwnedMutexGuard<()> {
+        self.making.clone().lock_owned().await
     }
 
     /// Looks for a newer version and makes it the newest. Returns its number.
     pub fn look(&self) -> Result<u64> {
         let _one = self.looking.lock().unwrap_or_else(PoisonError::into_inner);
-        let found = self.db.newest()?;
-        if found > self.newest().number() {
-            let snapshot = Arc::new(self.db.snapshot(Some(found))?);
+        if self.db.newest()? > self.newest().number() {
+            // The newest by now: the one just seen may be pruned already.
+            let snapshot = Arc::new(self.db.snapshot(None)?);
             self.newest.store(snapshot.clone());
             self.arrivals.send_replace(Arrival { snapshot });
         }
@@ -131,7 +164,11 @@ impl Live {
                     _ = stopped.changed() => break,
                 }
                 let live = live.clone();
-                if let Ok(Err(e)) = tokio::task::spawn_blocking(move || live.look()).await {
+                let look = move || {
+                    live.close(|o| o.asked.elapsed() < OPEN_FOR);
+                    live.look()
+                };
+                if let Ok(Err(e)) = tokio::task::spawn_blocking(look).await {
                     tracing::warn!("looking for new versions: {e}");
                 }
             }

@@ -17,35 +17,44 @@ use terraquilt::server::Running;
 use terraquilt::wire::v1;
 use tonic::Code;
 
+fn survey(date: &str, accuracy_m: f64) -> Change {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/st_helens");
+    let source = terraquilt::format::open(&data.join(format!("survey_{date}_native.tif"))).unwrap();
+    Change::Ingest(Ingest {
+        sources: vec![source],
+        name: Some(date.into()),
+        into: None,
+        accuracy_m: Some(accuracy_m),
+        date: Some(Date::parse(date).unwrap()),
+        precedence: None,
+        vertical_unit_m: None,
+        vertical_datum: None,
+        crs: None,
+        datum: Default::default(),
+        step: None,
+        lattice: None,
+    })
+}
+
+/// A database in a folder, a version for each change.
+fn made(folder: &Path, changes: impl IntoIterator<Item = Change>) -> Db {
+    let crs = Crs::from_epsg(26910).unwrap();
+    let options = Options { crs, policy: Policy::Newest, patch: Kind::Bilinear };
+    let db = Db::create(&folder.join("db"), &options).unwrap();
+    let (stop, quiet) = (AtomicBool::new(false), |_: &str, _: f64| ());
+    let progress = Progress { report: &quiet, stop: &stop };
+    for change in changes {
+        db.change(change, None, false, &progress, &mut || ()).unwrap();
+    }
+    db
+}
+
 /// Two surveys of St. Helens in two versions, made once.
 pub fn helens() -> Db {
     static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let crs = Crs::from_epsg(26910).unwrap();
-        let options = Options { crs, policy: Policy::Newest, patch: Kind::Bilinear };
-        let db = Db::create(&folder.path().join("db"), &options).unwrap();
-        let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/st_helens");
-        let (stop, quiet) = (AtomicBool::new(false), |_: &str, _: f64| ());
-        for (date, accuracy_m) in [("2000-09-25", 2.0), ("2004-10-04", 0.5)] {
-            let source = terraquilt::format::open(&data.join(format!("survey_{date}_native.tif"))).unwrap();
-            let ingest = Ingest {
-                sources: vec![source],
-                name: Some(date.into()),
-                into: None,
-                accuracy_m: Some(accuracy_m),
-                date: Some(Date::parse(date).unwrap()),
-                precedence: None,
-                vertical_unit_m: None,
-                vertical_datum: None,
-                crs: None,
-                datum: Default::default(),
-                step: None,
-                lattice: None,
-            };
-            let progress = Progress { report: &quiet, stop: &stop };
-            db.change(Change::Ingest(ingest), None, false, &progress, &mut || ()).unwrap();
-        }
+        made(folder.path(), [survey("2000-09-25", 2.0), survey("2004-10-04", 0.5)]);
         folder
     });
     Db::open(&folder.path().join("db")).unwrap()
@@ -147,40 +156,61 @@ async fn budgets_are_kept_and_used() {
     server.stop().await.unwrap();
 }
 
+/// Checks that a difference leads from one version's answer to the other's. Returns it.
+async fn leads(client: &Connection, e: f64, from: u64, to: u64) -> Patches {
+    let request = v1::DifferenceRequest { tolerance: error_m(e), from, to, ..Default::default() };
+    let d = client.difference(request).await.unwrap();
+    let mut held = match from {
+        0 => Patches::default(),
+        at => client.patches(v1::PatchesRequest { at, ..asked(e) }).await.unwrap(),
+    };
+    let after = client.patches(v1::PatchesRequest { at: to, ..asked(e) }).await.unwrap();
+    let gone: BTreeSet<Vec<u8>> = d.removed.chunks(16).map(<[u8]>::to_vec).collect();
+    assert!(gone.is_subset(&ids(&held.patches)) && gone.is_disjoint(&ids(&d.patches)));
+    held.patches.retain(|p| !gone.contains(&p.id[..]));
+    for c in &d.changed {
+        let p = held.patches.iter_mut().find(|p| p.id == c.id).unwrap();
+        let was = (p.top_m, p.floor, p.survey);
+        (p.top_m, p.floor, p.survey) = (c.top_m, c.floor, c.survey);
+        assert_ne!((p.top_m, p.floor, p.survey), was);
+    }
+    held.patches.extend(d.patches.clone());
+    let key = |m: &v1::MaskBlock| (m.survey, m.level, m.i, m.j);
+    let drop: BTreeSet<_> = d.masks_removed.iter().chain(&d.masks).map(key).collect();
+    held.masks.retain(|m| !drop.contains(&key(m)));
+    held.masks.extend(d.masks.clone());
+    held.masks.sort_by_key(key);
+    held.patches.sort_by(|a, b| a.id.cmp(&b.id));
+    let mut known = after.clone();
+    known.patches.sort_by(|a, b| a.id.cmp(&b.id));
+    assert_eq!(held.patches, known.patches, "{e} m, {from} to {to}");
+    assert_eq!(held.masks, known.masks);
+    assert_eq!((&d.end.hash, d.header.from), (&after.end.hash, from));
+    assert!(from != to || (gone.is_empty() && drop.is_empty()));
+    d
+}
+
 #[tokio::test]
 async fn differences_lead_from_one_version_to_the_other() {
     let (server, client) = served().await;
     for e in [0.0, 5.0, 40.0] {
         for (from, to) in [(0, 1), (1, 2), (0, 2), (2, 1), (2, 2)] {
-            let request = v1::DifferenceRequest { tolerance: error_m(e), from, to, ..Default::default() };
-            let d = client.difference(request).await.unwrap();
-            let mut held = match from {
-                0 => Patches::default(),
-                at => client.patches(v1::PatchesRequest { at, ..asked(e) }).await.unwrap(),
-            };
-            let after = client.patches(v1::PatchesRequest { at: to, ..asked(e) }).await.unwrap();
-            let gone: BTreeSet<Vec<u8>> = d.removed.chunks(16).map(<[u8]>::to_vec).collect();
-            assert!(gone.is_subset(&ids(&held.patches)) && gone.is_disjoint(&ids(&d.patches)));
-            held.patches.retain(|p| !gone.contains(&p.id[..]));
-            for c in &d.changed {
-                let p = held.patches.iter_mut().find(|p| p.id == c.id).unwrap();
-                (p.top_m, p.floor) = (c.top_m, c.floor);
-            }
-            held.patches.extend(d.patches);
-            let key = |m: &v1::MaskBlock| (m.survey, m.level, m.i, m.j);
-            let drop: BTreeSet<_> = d.masks_removed.iter().chain(&d.masks).map(key).collect();
-            held.masks.retain(|m| !drop.contains(&key(m)));
-            held.masks.extend(d.masks);
-            held.masks.sort_by_key(key);
-            held.patches.sort_by(|a, b| a.id.cmp(&b.id));
-            let mut known = after.clone();
-            known.patches.sort_by(|a, b| a.id.cmp(&b.id));
-            assert_eq!(held.patches, known.patches, "{e} m, {from} to {to}");
-            assert_eq!(held.masks, known.masks);
-            assert_eq!((d.end.hash, d.header.from), (after.end.hash, from));
-            assert!(from != to || (gone.is_empty() && drop.is_empty()));
+            leads(&client, e, from, to).await;
         }
     }
+    server.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn patches_of_a_survey_that_came_again_are_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let gone = Change::Remove { surveys: vec!["2004-10-04".into()], tile: None };
+    let db = made(folder.path(), [survey("2004-10-04", 0.5), gone, survey("2004-10-04", 0.5)]);
+    let server = serve(&db).await;
+    let client = connect(&server).await;
+    let d = leads(&client, 5.0, 1, 3).await;
+    assert!(d.removed.is_empty() && d.patches.is_empty() && !d.changed.is_empty());
+    assert_ne!(d.changed[0].survey, 1);
     server.stop().await.unwrap();
 }
 

@@ -165,12 +165,14 @@ impl Catalog for Service {
         if let Some(standing) = self.0.operations.standing(&id) {
             return Ok(Response::new(standing));
         }
-        let db = self.0.live.db().clone();
+        let live = self.0.live.clone();
         let find = move || {
-            let version = db.operation(&id)?.ok_or_else(|| {
+            let version = live.db().operation(&id)?.ok_or_else(|| {
                 let what = format!("operation '{id}'");
                 Error::missing(what, "it was never committed, and not asked for since the server started")
             })?;
+            // Another process may have carried it out a moment ago: then its version is the newest from now on.
+            live.look()?;
             let state = Standing::Done as i32;
             Ok(v1::OperationStatus { operation: id, state, version, share: 1.0, ..Default::default() })
         };

@@ -13,6 +13,7 @@ use crate::server::{Answer, State};
 use crate::wire::v1::heights_server::Heights;
 use crate::wire::v1::{HeightsHeader, HeightsReply, PointsRequest, ProfileRequest, RasterRequest};
 use std::sync::Arc;
+use std::time::Duration;
 use tonic::{Request, Response, Status, Streaming};
 
 /// Points of a block, and where it is said who made each height.
@@ -24,6 +25,9 @@ const PIECE_EXPLAINED: usize = 512;
 /// Pieces are made of squares of so many steps of the finest survey, and of so many squares at most.
 const SQUARE_STEPS: f64 = 256.0;
 const SQUARES: usize = 64;
+
+/// A caller of `Points` that sends nothing for so long is let go: its version cannot be pruned meanwhile.
+const SENT_WITHIN: Duration = Duration::from_secs(600);
 
 /// The service.
 pub struct HeightsService(pub Arc<State>);
@@ -42,14 +46,14 @@ impl Heights for HeightsService {
         let state = self.0.clone();
         let mut incoming = request.into_inner();
         Ok(stream(|out| async move {
-            let Some(mut message) = incoming.message().await? else {
+            let Some(mut message) = sent(&mut incoming).await? else {
                 return Err(Status::invalid_argument("no message came; the first one needs a header"));
             };
             let manner = manner(&state, message.header.take()).await?;
             let mut first = 0;
             loop {
                 first = given(&state, &manner, &message, first, &out).await?;
-                match incoming.message().await? {
+                match sent(&mut incoming).await? {
                     None => return Ok(()),
                     Some(m) if m.header.is_some() => {
                         return Err(Status::invalid_argument(
@@ -88,6 +92,16 @@ impl Heights for HeightsService {
     }
 }
 
+/// The next message of a caller; `None`: it has ended its side.
+async fn sent(incoming: &mut Streaming<PointsRequest>) -> Answer<Option<PointsRequest>> {
+    tokio::time::timeout(SENT_WITHIN, incoming.message()).await.unwrap_or_else(|_| {
+        let s = SENT_WITHIN.as_secs();
+        Err(Status::deadline_exceeded(format!(
+            "nothing was sent for {s} s; make another call when there are points"
+        )))
+    })
+}
+
 async fn manner(state: &Arc<State>, header: Option<HeightsHeader>) -> Answer<Arc<Manner>> {
     let Some(header) = header else {
         return Err(Status::invalid_argument(
@@ -96,9 +110,11 @@ async fn manner(state: &Arc<State>, header: Option<HeightsHeader>) -> Answer<Arc
     };
     let live = state.live.clone();
     if !header.only_surveys.is_empty() {
-        let _one = live.one_subset().await;
-        let (live, at) = (live.clone(), header.at);
-        let made = move || Manner::new(&header, live.only(at, &header.only_surveys)?).map(Arc::new);
+        let one = live.one_subset().await;
+        let made = move || {
+            let _one = one;
+            Manner::new(&header, live.only(header.at, &header.only_surveys)?).map(Arc::new)
+        };
         return state.pools.work(made).await;
     }
     state.pools.answer(move || Ok(Arc::new(Manner::new(&header, live.snapshot(header.at)?)?))).await

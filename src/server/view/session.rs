@@ -95,8 +95,9 @@ impl Session {
         });
     }
 
-    pub fn weighs(&self, weight: usize) {
-        self.weight.store(weight, Ordering::Relaxed);
+    /// Notes how much it holds. Returns how much that was before.
+    pub fn weighs(&self, weight: usize) -> usize {
+        self.weight.swap(weight, Ordering::Relaxed)
     }
 }
 

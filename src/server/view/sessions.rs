@@ -66,6 +66,29 @@ impl Sessions {
         Ok(attached)
     }
 
+    /// Whether there is room for what a view holds by now. Sessions without streams make room; if that is too little, a view that
+    /// has more than its share is refused.
+    ///
+    /// # Errors
+    /// `Limit`, if it has to let go.
+    pub fn fits(&self, session: &Session) -> Result<()> {
+        let mut known = self.known();
+        let mut sum: usize = known.values().map(|s| s.weight.load(Ordering::Relaxed)).sum();
+        while sum > WEIGHT_MAX {
+            let first = known.values().filter_map(|s| Some((s.ended()?, s.id))).min();
+            let Some(first) = first.and_then(|(_, id)| known.remove(&id)) else {
+                let (share, own) = (WEIGHT_MAX / known.len().max(1), session.weight.load(Ordering::Relaxed));
+                if own <= share {
+                    return Ok(());
+                }
+                let what = "patches of a view while all open views together hold too many (look at less, or try again later)";
+                return Err(Error::limit(what, share as u64, own as u64));
+            };
+            sum -= first.weight.load(Ordering::Relaxed).min(sum);
+        }
+        Ok(())
+    }
+
     /// A new stream for a session that is still there; an older stream ends.
     pub fn resume(&self, id: &[u8]) -> Option<Attached> {
         self.sweep();
@@ -83,5 +106,36 @@ impl Sessions {
 
     fn keeps(&self, s: &Session) -> bool {
         s.ended().is_none_or(|at| at.elapsed() < self.kept)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::db::query::{Area, Query, Tolerance};
+    use crate::height::surface::Blend;
+    use crate::server::view::Question;
+
+    #[test]
+    fn views_that_hold_too_much_let_go_and_others_stay() {
+        let sessions = Sessions::new(Duration::from_secs(300), 100);
+        let open = || {
+            let how = Blend::Exact.into();
+            let query = Query { area: Area::Everything, tolerance: Tolerance::Constant(1.0), how };
+            let question = Arc::new(Question { number: 0, query });
+            let manner = Manner { how, descriptors_only: false };
+            sessions.open(manner, Wanted { question, applied: 0, ahead: 0 }).unwrap()
+        };
+        let (small, ended, large) = (open(), open(), open());
+        small.session.weighs(1000);
+        ended.session.weighs(WEIGHT_MAX / 2);
+        drop(ended);
+        large.session.weighs(WEIGHT_MAX / 2);
+        assert!(sessions.fits(&large.session).is_ok());
+        assert_eq!(sessions.count(), 2, "what nobody streams makes room");
+        large.session.weighs(WEIGHT_MAX);
+        assert!(sessions.fits(&small.session).is_ok());
+        let refused = sessions.fits(&large.session).unwrap_err();
+        assert!(matches!(refused, Error::Limit { .. }), "{refused}");
     }
 }

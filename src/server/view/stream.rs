@@ -4,6 +4,7 @@ use super::parcel::Parcel;
 use super::session::{Attached, Question};
 use super::target::Target;
 use crate::server::State;
+use crate::server::status::status;
 use crate::wire::v1;
 use bytes::Bytes;
 use std::sync::Arc;
@@ -178,7 +179,14 @@ async fn steps(
         });
         let (back, message) = step.await?;
         ledger = back;
-        session.weighs(ledger.weight());
+        let grown = ledger.weight();
+        if session.weighs(grown) < grown
+            && let Err(e) = state.views.fits(&session)
+        {
+            ledger.begin();
+            session.weighs(0);
+            return Err(End::With(status(e)));
+        }
         let Some((mut message, mut parcel)) = message else { continue };
         if std::mem::take(&mut first) {
             message.session = Bytes::copy_from_slice(&session.id);
