@@ -75,6 +75,10 @@ impl Connection {
                 format!("{e}; give host:port, or https://host:port where the server speaks TLS"),
             )
         };
+        if url.starts_with("http://") && (address.ca.is_some() || address.identity.is_some()) {
+            // What was meant to be secret must not travel in the clear.
+            return Err(bad(&"certificates are given, and http:// speaks no TLS"));
+        }
         let mut endpoint = Endpoint::from_shared(url.clone())
             .map_err(|e| bad(&e))?
             .connect_timeout(CONNECT_WITHIN)
