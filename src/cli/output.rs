@@ -13,6 +13,12 @@ pub struct Output {
     out: BufWriter<StdoutLock<'static>>,
 }
 
+impl Default for Output {
+    fn default() -> Output {
+        Output::new()
+    }
+}
+
 impl Output {
     pub fn new() -> Output {
         Output { out: BufWriter::new(std::io::stdout().lock()) }
@@ -66,6 +72,12 @@ pub struct Meter {
     started: Instant,
     bar: Mutex<Option<(String, ProgressBar)>>,
     terminal: bool,
+}
+
+impl Default for Meter {
+    fn default() -> Meter {
+        Meter::new()
+    }
 }
 
 impl Meter {
