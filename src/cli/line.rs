@@ -87,6 +87,12 @@ pub fn in_place(args: Vec<OsString>, disk_only: &[&str]) -> std::result::Result<
     };
     let mut rest = args;
     rest.drain(k..k + taken);
+    if let Some(other) = rest[..end - taken].iter().find(|a| *a == "--server" || named(a).is_some()) {
+        let other = other.to_string_lossy();
+        return Err(format!(
+            "error: --server is given twice ({address}, and {other} behind it); a command asks one server"
+        ));
+    }
     let word = rest.iter().enumerate().skip(1).find(|(_, a)| !a.to_string_lossy().starts_with('-'));
     let Some((at, word)) = word.map(|(at, w)| (at, w.to_string_lossy().into_owned())) else {
         return Ok(rest);
@@ -216,6 +222,9 @@ mod tests {
             assert_eq!(placed(given).unwrap(), wanted);
         }
         assert!(placed("t init --server a:1").unwrap_err().contains("init"));
+        for twice in ["t surveys --server a:1 --server b:2", "t --server=a:1 surveys --server=b:2"] {
+            assert!(placed(twice).unwrap_err().contains("twice"), "{twice}");
+        }
         assert_eq!(server(Path::new("server://a:1")), Some("a:1"));
         assert_eq!(server(Path::new("https://a:1")), Some("https://a:1"));
         assert_eq!(server(Path::new("hills")), None);

@@ -81,7 +81,7 @@ pub struct Door {
 }
 
 /// Words that work on the files of a database, or make one.
-const DISK_ONLY: [&str; 7] = ["backup", "compact", "copy", "demo", "init", "rebuild", "serve"];
+const DISK_ONLY: [&str; 8] = ["backup", "compact", "copy", "demo", "init", "rebuild", "serve", "token"];
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
 pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCode {

@@ -2,6 +2,7 @@
 
 use crate::base::{Error, Result};
 use crate::wire::{MESSAGE_BYTES_MAX, v1};
+use std::error::Error as _;
 use std::time::Duration;
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
@@ -75,6 +76,10 @@ impl Connection {
                 format!("{e}; give host:port, or https://host:port where the server speaks TLS"),
             )
         };
+        if url.starts_with("http://") && (address.ca.is_some() || address.identity.is_some()) {
+            // What was meant to be secret must not travel in the clear.
+            return Err(bad(&"certificates are given, and http:// speaks no TLS"));
+        }
         let mut endpoint = Endpoint::from_shared(url.clone())
             .map_err(|e| bad(&e))?
             .connect_timeout(CONNECT_WITHIN)
@@ -90,7 +95,7 @@ impl Connection {
             if let Some((certificate, key)) = &address.identity {
                 tls = tls.identity(Identity::from_pem(certificate, key));
             }
-            endpoint = endpoint.tls_config(tls).map_err(|e| bad(&e))?;
+            endpoint = endpoint.tls_config(tls).map_err(|e| bad(&deepest(&e)))?;
         }
         let token = match &address.token {
             None => None,
@@ -104,15 +109,9 @@ impl Connection {
         } else {
             "is `terraquilt serve` running there, without TLS?"
         };
-        let channel = endpoint.connect().await.map_err(|e| {
-            let mut cause: &dyn std::error::Error = &e;
-            while let Some(deeper) = cause.source() {
-                cause = deeper;
-            }
-            Error::Remote {
-                server: address.server.clone(),
-                message: format!("cannot be reached: {cause}; {advice}"),
-            }
+        let channel = endpoint.connect().await.map_err(|e| Error::Remote {
+            server: address.server.clone(),
+            message: format!("cannot be reached: {}; {advice}", deepest(&e)),
         })?;
         Ok(Connection {
             server: address.server.clone(),
@@ -139,10 +138,23 @@ impl Connection {
 /// A status as an error of the server that sent it.
 pub fn failed(server: &str, status: Status) -> Error {
     // What a server says has no cause of its own; what the connection met has.
-    let message = match (status.message(), std::error::Error::source(&status)) {
+    let message = match (status.message(), status.source()) {
         ("", _) => format!("{:?}", status.code()),
-        (m, Some(_)) => format!("the connection broke ({m}); is the server still running? Ask again"),
+        (_, Some(cause)) => format!(
+            "the connection broke ({}); is the server still running, and does it speak TLS (https://) or ask for a certificate? \
+             Ask again",
+            deepest(cause)
+        ),
         (m, None) => m.to_string(),
     };
     Error::Remote { server: server.to_string(), message }
+}
+
+/// What an error of the connection came from in the end: the errors around it say less.
+fn deepest<'e>(e: &'e (dyn std::error::Error + 'static)) -> &'e (dyn std::error::Error + 'static) {
+    let mut cause = e;
+    while let Some(deeper) = cause.source() {
+        cause = deeper;
+    }
+    cause
 }

@@ -368,6 +368,10 @@ fn name(first: &SourceInfo, request: &Ingest) -> Result<String> {
             format!("'{name}': a name has 1 to {} bytes", limits::TEXT_BYTES_MAX / 4),
         ));
     }
+    if name.chars().any(char::is_control) {
+        // It is printed on terminals, whoever sent it.
+        return Err(Error::invalid("--name", format!("{name:?} holds control characters; leave them out")));
+    }
     Ok(name)
 }
 

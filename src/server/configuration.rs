@@ -303,9 +303,11 @@ fn of_file(path: &Path) -> Result<Vec<(&'static Key, String)>> {
         return Err(Error::limit(format!("bytes of {}", path.display()), FILE_BYTES_MAX, length));
     }
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
-    let table: toml::Table = text
-        .parse()
-        .map_err(|e: toml::de::Error| Error::invalid(path.display(), e.to_string().trim_end()))?;
+    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| {
+        let before = e.span().and_then(|s| text.get(..s.start)).unwrap_or("");
+        let line = before.matches('\n').count() + 1;
+        Error::invalid(format!("{}: line {line}", path.display()), e.message().replace('\n', "; "))
+    })?;
     table
         .into_iter()
         .map(|(name, value)| {

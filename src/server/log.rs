@@ -12,7 +12,8 @@ use tracing_subscriber::EnvFilter;
 /// # Errors
 /// If `log_level` is no level and no list of filters.
 pub fn start(settings: &Settings) -> Result<()> {
-    let filter = EnvFilter::try_new(&settings.log_level).map_err(|e| {
+    // The library that brings catalogs up to date says at each opening that there is nothing to do.
+    let filter = EnvFilter::try_new(format!("refinery_core=warn,{}", settings.log_level)).map_err(|e| {
         let what = format!("'{}': {e}; give error, warn, info, debug or trace", settings.log_level);
         Error::invalid("log-level", what)
     })?;

@@ -59,6 +59,9 @@ fn describe() {
         "terraquilt_queue",
         "Answers, files and checks, and commits that wait for a thread, by pool."
     );
+    describe_gauge!("terraquilt_view_sessions", "Sessions of views that are held.");
+    describe_gauge!("terraquilt_uploads_open", "Uploads that are not committed yet.");
+    describe_counter!("terraquilt_patches_sent_total", "Patches made for answers, by service.");
     describe_gauge!("process_resident_memory_bytes", "Memory that the process holds.");
     describe_gauge!("process_open_fds", "Files and connections that the process has open.");
 }

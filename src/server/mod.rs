@@ -70,7 +70,15 @@ pub async fn start(settings: Settings) -> Result<Running> {
     let state = tokio::task::spawn_blocking(move || State::open(settings).map(Arc::new))
         .await
         .map_err(|e| Error::invalid("server", e))??;
-    let io = |e| Error::invalid(format!("address {listen}"), e);
+    let io = |e: std::io::Error| {
+        let advice = match e.kind() {
+            std::io::ErrorKind::AddrInUse => {
+                "; another program listens there: stop it, or give another --listen"
+            }
+            _ => "",
+        };
+        Error::invalid(format!("address {listen}"), format!("{e}{advice}"))
+    };
     let listener = listen::bind(listen).map_err(io)?;
     let address = listener.local_addr().map_err(io)?;
     let stop = state.stop.clone();

@@ -221,3 +221,30 @@ async fn reports_come_line_by_line_and_nobody_need_read_them() {
     assert!(checked.ok && checked.done && checked.json.contains("\"ok\":true"));
     h.server.stop().await.unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ids_names_and_tokens_from_outside_are_bounded() {
+    let h = here(&[1]).await;
+    let mut catalog = h.c.catalog();
+    for (id, told) in
+        [("x".repeat(201), "201 bytes"), ("a\nb".into(), "control"), ("commit-7".into(), "commit-")]
+    {
+        let request =
+            v1::RemoveRequest { surveys: vec!["s".into()], operation: id.clone(), ..Default::default() };
+        let e = catalog.remove(request).await.unwrap_err();
+        assert!(e.code() == Code::InvalidArgument && e.message().contains(told), "{e}");
+        let request =
+            v1::SetRequest { survey: "s".into(), precedence: Some(1), operation: id, ..Default::default() };
+        let e = catalog.set(request).await.unwrap_err();
+        assert!(e.code() == Code::InvalidArgument && e.message().contains(told), "{e}");
+    }
+    // What says that there is none fits into a header, however long the name.
+    let request = v1::GetSurveyRequest { survey: "\u{e9}".repeat(1 << 20), ..Default::default() };
+    let e = catalog.get_survey(request).await.unwrap_err();
+    assert!(e.code() == Code::NotFound && e.message().ends_with("what is in the database"), "{e}");
+    let survey = db::surveys(&h.db.snapshot(None).unwrap()).unwrap()[0].name.clone();
+    let page_token = format!("1.{}", u64::MAX);
+    let request = v1::ListTilesRequest { survey, page_token, ..Default::default() };
+    assert!(catalog.list_tiles(request).await.unwrap().into_inner().tiles.is_empty());
+    h.server.stop().await.unwrap();
+}

@@ -114,6 +114,21 @@ async fn streams_and_calls_are_shed_apart_with_a_sentence() {
 }
 
 #[tokio::test]
+async fn a_call_whose_message_never_comes_gives_its_place_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = |s: &mut Settings| (s.calls_max, s.deadline) = (1, Duration::from_millis(500));
+    let server = serve(folder.path(), set).await;
+    let channel = channel(server.address).await;
+    let e =
+        open(&channel, "/terraquilt.v1.Query/Patches", None, stream::pending::<Bytes>()).await.unwrap_err();
+    assert_eq!(e.code(), Code::DeadlineExceeded, "{e}");
+    assert!(e.message().contains("did not come within 500ms"), "{e}");
+    assert!(ends(&channel, CHECK, None, Bytes::new()).await.unwrap().is_ok());
+    drop(channel);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test]
 async fn stopping_ends_streams_with_a_sentence_and_waits_no_longer_than_grace() {
     let folder = tempfile::tempdir().unwrap();
     let server = serve(folder.path(), |s| s.grace = Duration::from_secs(1)).await;

@@ -144,6 +144,7 @@ async fn bad_headers_are_refused_before_anything_is_kept() {
         (|h| h.step = vec![f64::NAN; 2], Code::InvalidArgument, "step"),
         (|h| h.datum_shift = "sideways".into(), Code::InvalidArgument, "sideways"),
         (|h| h.name = "n".repeat(2000), Code::InvalidArgument, "name"),
+        (|h| h.name = "\u{1b}[2Jhills".into(), Code::InvalidArgument, "control"),
         (
             |h| {
                 h.target = Some(v1::upload_header::Target::Into("nobody".into()));

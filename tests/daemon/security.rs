@@ -1,7 +1,9 @@
 //! Who may do what: tokens and rights, TLS and mutual TLS.
 
+use super::calls::Call;
 use super::raw::{channel, ends, methods, open};
 use super::support::empty;
+use super::survey::hills;
 use bytes::Bytes;
 use futures_util::StreamExt;
 use rcgen::{CertificateParams, DnType, IsCa, Issuer, KeyPair};
@@ -114,6 +116,48 @@ async fn a_revoked_or_expired_token_ends_streams_that_live() {
         assert_eq!(e.code(), Code::Unauthenticated);
     }
     drop(channel);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn streams_without_a_token_end_when_the_first_is_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = empty(folder.path());
+    let server = start(Settings { listen: LOOPBACK, ..Settings::new(db.path()) }).await.unwrap();
+    let channel = channel(server.address).await;
+    let watch = "/grpc.health.v1.Health/Watch";
+    let mut stream = open(&channel, watch, None, futures_util::stream::iter([Bytes::new()])).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    TokenFile::at(db.path().join("tokens.json")).add(Right::Read, None, None).unwrap();
+    let end =
+        tokio::time::timeout(Duration::from_secs(5), stream.next()).await.unwrap().unwrap().unwrap_err();
+    assert_eq!(end.code(), Code::Unauthenticated);
+    assert!(end.message().contains("tokens were made"), "{end}");
+    drop(channel);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_upload_whose_token_was_revoked_cannot_be_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = empty(folder.path());
+    let file = TokenFile::at(db.path().join("tokens.json"));
+    let (_, secret) = file.add(Right::Write, Some("crew"), None).unwrap();
+    let server = start(Settings { listen: LOOPBACK, ..Settings::new(db.path()) }).await.unwrap();
+    let address = Address { server: server.address.to_string(), token: Some(secret), ..Address::default() };
+    let c = Connection::open(&address).await.unwrap();
+    let survey = hills("hills", 20, 0.0, 1);
+    let (mut call, _) = Call::begin(&c, &survey.header).await.unwrap();
+    call.block(survey.block(0, 0, 20)).await;
+    call.durable(20).await;
+    file.revoke("crew").unwrap();
+    let e = call.refused().await;
+    assert!(e.code() == Code::Unauthenticated && e.message().contains("revoked"), "{e}");
+    // A client that goes on as if nothing had been said.
+    call.finish().await;
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    assert_eq!(db.newest().unwrap(), 0);
+    drop((call, c));
     server.stop().await.unwrap();
 }
 

@@ -10,7 +10,7 @@ use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::task::{Context, Poll};
 use tokio::sync::OwnedSemaphorePermit;
 use tonic::Status;
@@ -27,11 +27,18 @@ pub fn fault() -> Status {
 pub struct Counted {
     inner: Body,
     bytes: Arc<AtomicU64>,
+    whole: Arc<AtomicBool>,
 }
 
 impl Counted {
     pub fn new(inner: Body, bytes: Arc<AtomicU64>) -> Counted {
-        Counted { inner, bytes }
+        let whole = Arc::new(AtomicBool::new(inner.is_end_stream()));
+        Counted { inner, bytes, whole }
+    }
+
+    /// Becomes true when everything has come.
+    pub fn whole(&self) -> Arc<AtomicBool> {
+        self.whole.clone()
     }
 }
 
@@ -48,6 +55,9 @@ impl HttpBody for Counted {
             && let Some(data) = frame.data_ref()
         {
             self.bytes.fetch_add(data.len() as u64, Relaxed);
+        }
+        if matches!(poll, Poll::Ready(None)) || self.inner.is_end_stream() {
+            self.whole.store(true, Relaxed);
         }
         poll
     }

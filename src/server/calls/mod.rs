@@ -25,6 +25,7 @@ use record::Record;
 use std::net::IpAddr;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 use tokio::sync::{Semaphore, watch};
 use tonic::{Code, Status};
@@ -80,6 +81,22 @@ impl Calls {
              (`terraquilt token add`) or start it with --insecure-open",
             name.escape_default()
         )))
+    }
+
+    /// A status for a call whose one message does not come: it would keep its place for ever.
+    fn unsaid(&self, lasts: Lasts, whole: Arc<AtomicBool>) -> impl Future<Output = Status> + use<> {
+        let within = self.deadline;
+        async move {
+            if lasts == Lasts::Stream {
+                tokio::time::sleep(within).await;
+                if !whole.load(Relaxed) {
+                    return Status::deadline_exceeded(format!(
+                        "the message of the call did not come within {within:?}"
+                    ));
+                }
+            }
+            std::future::pending().await
+        }
     }
 
     /// A status with which the call ends from outside, when its time has come.
@@ -173,13 +190,16 @@ async fn call(calls: Arc<Calls>, mut request: Request, next: Next, id: &HeaderVa
     request.headers_mut().insert(REQUEST_ID, id.clone());
     // Nothing behind this needs the secret.
     request.headers_mut().remove(header::AUTHORIZATION);
-    let counted = record.received();
-    let request = request.map(|b| Body::new(Counted::new(b, counted)));
+    let (parts, body) = request.into_parts();
+    let body = Counted::new(body, record.received());
+    let unsaid = calls.unsaid(method.lasts, body.whole());
+    let request = Request::from_parts(parts, Body::new(body));
     let mut ending = calls.ending(&caller, method.lasts, within);
     let answer = AssertUnwindSafe(next.run(request)).catch_unwind();
     let answered = tokio::select! {
         answered = answer => answered,
         status = &mut ending => refuse!(status),
+        status = unsaid => refuse!(status),
     };
     match answered {
         Ok(response) => {

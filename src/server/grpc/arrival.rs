@@ -38,8 +38,18 @@ impl Told {
         let sent = timeout(self.patience, self.send.send(Ok(reply))).await;
         let unread =
             |_| Status::deadline_exceeded(format!("no reply was read for {} s", self.patience.as_secs()));
-        sent.map_err(unread)?.map_err(|_| Status::cancelled("the caller is gone"))
+        sent.map_err(unread)?.map_err(|_| gone())
     }
+
+    /// Waits until nobody can be told any more: the caller is gone, or the call was ended (a revoked token, a deadline).
+    pub async fn closed(&self) -> Status {
+        self.send.closed().await;
+        gone()
+    }
+}
+
+fn gone() -> Status {
+    Status::cancelled("the caller is gone")
 }
 
 pub fn reply(operation: &str, state: Standing) -> v1::UploadReply {

@@ -60,7 +60,10 @@ impl Service {
     }
 
     async fn commit(&self, change: Change, operation: String, what: &str) -> Reply<v1::CommitReply> {
-        let id = if operation.is_empty() { made_id(what)? } else { operation };
+        let id = match operation.as_str() {
+            "" => made_id(what)?,
+            given => model::upload::operation(given).map_err(status)?,
+        };
         let outcome = operations::commit(&self.0, id.clone(), false, move || Ok(change)).await?;
         Ok(Response::new(operations::reply(&outcome, &id)))
     }
@@ -122,7 +125,7 @@ impl Catalog for Service {
         self.answer(at, move |s| {
             let mut out = v1::ListTilesReply { version: s.number(), ..Default::default() };
             let rows = db::tiles(s, &r.survey)?;
-            let first = page.after.map_or(0, |k| k as usize + 1);
+            let first = page.after.map_or(0, |k| (k as usize).saturating_add(1));
             for (k, row) in rows.iter().enumerate().skip(first) {
                 let tile = model::tile(row)?;
                 if !page.takes(tile.encoded_len()) {

@@ -8,7 +8,7 @@ use crate::server::model::upload;
 use crate::server::operations;
 use crate::server::pools::Answer;
 use crate::server::state::State;
-use crate::server::status::status;
+use crate::server::status::{short, status};
 use crate::server::uploads::Claimed;
 use crate::wire::v1;
 use std::path::{Component, Path, PathBuf};
@@ -76,7 +76,7 @@ fn inside(root: &Path, path: &str) -> Answer<PathBuf> {
     let outside = || {
         Status::new(
             Code::PermissionDenied,
-            format!("file '{path}' is not below the directory that this server may take files from"),
+            short(format!("file '{path}' is not below the directory that this server may take files from")),
         )
     };
     // Before the disk is asked: what is outside is not told, not even whether it exists.

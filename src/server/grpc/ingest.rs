@@ -113,6 +113,7 @@ where
 async fn next(
     state: &State,
     requests: &mut Streaming<v1::UploadRequest>,
+    told: &Told,
     within: Duration,
 ) -> Answer<Option<Kind>> {
     let message = tokio::select! {
@@ -122,6 +123,8 @@ async fn next(
                 "the server is stopping; what arrived is kept: call again with the same header",
             ));
         }
+        // What comes behind the end of a call has no right to be heard.
+        status = told.closed() => return Err(status),
         message = timeout(within, requests.message()) => message,
     };
     match message {
@@ -159,7 +162,7 @@ async fn check(state: &Arc<State>, header: v1::UploadHeader) -> Answer<(Arc<Said
 
 /// One upload, from its header to its commit.
 async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>, told: &Told) -> Answer<()> {
-    let header = match next(state, requests, state.settings.upload_idle).await? {
+    let header = match next(state, requests, told, state.settings.upload_idle).await? {
         Some(Kind::Header(header)) => header,
         Some(_) => return Err(Status::invalid_argument("the first message of an upload is its header")),
         None => return Err(Status::invalid_argument("the stream ended before a header came")),
@@ -208,7 +211,9 @@ async fn receive(state: &Arc<State>, requests: &mut Streaming<v1::UploadRequest>
         Ok(finish) => finish,
         Err(e) => {
             // What arrived is kept, also of a stream that broke.
-            on_disk(&staging, Staging::sync).await?;
+            if let Err(also) = on_disk(&staging, Staging::sync).await {
+                tracing::warn!("upload '{operation}': what arrived last is not kept: {}", also.message());
+            }
             return Err(e);
         }
     };
@@ -299,7 +304,7 @@ async fn blocks(
         }
         // While the next block is waited for, what is there becomes durable.
         let until_sync = if fresh_bytes > 0 { SYNC_AFTER.saturating_sub(synced.elapsed()) } else { left };
-        match next(state, requests, until_sync.min(left)).await {
+        match next(state, requests, told, until_sync.min(left)).await {
             Err(e) if e.code() == Code::DeadlineExceeded => {}
             Err(e) => return Err(e),
             Ok(Some(Kind::Finish(finish))) => return Ok(finish),

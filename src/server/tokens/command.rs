@@ -109,7 +109,15 @@ pub fn run_token(matches: &ArgMatches) -> Result<bool> {
             Ok(true)
         }
         What::List(l) => {
-            let tokens = l.place.file()?.read()?.unwrap_or_default();
+            let file = l.place.file()?;
+            let found = file.read()?;
+            if found.is_none() {
+                eprintln!(
+                    "no token was ever made ({} is not there): whoever reaches a server of this database may do everything",
+                    file.path().display()
+                );
+            }
+            let tokens = found.unwrap_or_default();
             if l.place.json {
                 return line(&serde_json::Value::Array(tokens.iter().map(shown).collect()).to_string());
             }

@@ -20,6 +20,8 @@ type Known = Option<Arc<HashMap<String, Token>>>;
 pub struct Tokens {
     file: TokenFile,
     known: watch::Sender<Known>,
+    /// What the file was like just before it was read first.
+    opened: Stamp,
 }
 
 /// Who asks.
@@ -45,8 +47,9 @@ impl Caller {
 impl Tokens {
     pub fn open(path: &Path) -> Result<Tokens> {
         let file = TokenFile::at(path);
+        let opened = stamp(path);
         let known = by_hash(file.read()?);
-        Ok(Tokens { file, known: watch::Sender::new(known) })
+        Ok(Tokens { file, known: watch::Sender::new(known), opened })
     }
 
     /// Whether callers need a token.
@@ -76,8 +79,8 @@ impl Tokens {
         let Needs::Right(needed) = needs else { return Ok(Caller::Unnamed) };
         let Some(given) = given else {
             return Err(Status::unauthenticated(format!(
-                "{what} needs a token with the right {needed}, and none was given; send `authorization: Bearer tq_...` (the \
-                 operator makes one by `terraquilt token add`)"
+                "{what} needs a token with the right {needed}, and none was given; send `authorization: Bearer tq_...` \
+                 (`terraquilt` takes it from --token-file or TERRAQUILT_TOKEN; the operator makes one by `terraquilt token add`)"
             )));
         };
         let token = known.get(&hash_of(given)).ok_or_else(|| {
@@ -101,10 +104,21 @@ impl Tokens {
         Ok(Caller::Holder(token.clone()))
     }
 
-    /// Ends when the caller's token is no longer good, with the reason.
+    /// Ends when the caller's token is no longer good, or the first one was made and the caller has none, with the reason.
     pub async fn withdrawn(&self, caller: &Caller) -> Status {
-        let Caller::Holder(token) = caller else { return std::future::pending().await };
         let mut changes = self.known.subscribe();
+        let token = match caller {
+            Caller::Holder(token) => token,
+            Caller::Unnamed => return std::future::pending().await,
+            Caller::Anyone => {
+                if changes.wait_for(Option::is_some).await.is_err() {
+                    std::future::pending::<()>().await;
+                }
+                return Status::unauthenticated(
+                    "tokens were made since the call began, and from then on every caller needs one; ask the operator",
+                );
+            }
+        };
         let gone = async {
             let there = |k: &Known| k.as_ref().is_some_and(|k| k.contains_key(&token.hash));
             // An error says that the server is no more: then nothing is withdrawn either.
@@ -129,13 +143,14 @@ impl Tokens {
     pub fn follow(self: &Arc<Self>, mut stopped: watch::Receiver<bool>) {
         let tokens = self.clone();
         tokio::spawn(async move {
-            let mut seen = stamp(tokens.file.path()).await;
+            let mut seen = tokens.opened;
             while !*stopped.borrow() {
                 tokio::select! {
                     () = tokio::time::sleep(LOOK_EVERY) => {}
                     _ = stopped.changed() => break,
                 }
-                let now = stamp(tokens.file.path()).await;
+                let path = tokens.file.path().to_path_buf();
+                let Ok(now) = tokio::task::spawn_blocking(move || stamp(&path)).await else { continue };
                 if now != seen {
                     seen = now;
                     tokens.read_again().await;
@@ -163,9 +178,11 @@ impl Tokens {
 }
 
 /// What changes when the file does. A rename gives another inode, whatever the clock says.
-async fn stamp(path: &Path) -> Option<(u64, u64, Option<SystemTime>)> {
+type Stamp = Option<(u64, u64, Option<SystemTime>)>;
+
+fn stamp(path: &Path) -> Stamp {
     use std::os::unix::fs::MetadataExt;
-    let m = tokio::fs::metadata(path).await.ok()?;
+    let m = std::fs::metadata(path).ok()?;
     Some((m.ino(), m.len(), m.modified().ok()))
 }
 

@@ -263,12 +263,18 @@ impl Uploads {
             Ok(Claimed::Committing(_)) | Err(Error::Busy { .. }) => return busy(),
             Err(e) => return Err(e),
         };
-        let folder = self.folder(operation);
         // Another server may be receiving it.
-        if folder.exists() && staging::lock(&folder)?.is_none() {
-            return busy();
+        self.alone(operation, || self.remove(&claim))?.map_or_else(busy, Ok)
+    }
+
+    /// Does something while no other server can receive an upload; `None` if one does.
+    fn alone<T>(&self, operation: &str, f: impl FnOnce() -> Result<T>) -> Result<Option<T>> {
+        let folder = self.folder(operation);
+        if !folder.exists() {
+            return f().map(Some);
         }
-        self.remove(&claim)
+        let Some(_held) = staging::lock(&folder)? else { return Ok(None) };
+        f().map(Some)
     }
 
     /// Uploads in progress, by operation.
@@ -325,29 +331,42 @@ impl Uploads {
         let rows = self.catalog(|c| c.all())?;
         let mut removed = 0;
         for row in &rows {
-            let age = now().saturating_sub(row.touched_at).max(0) as u64;
-            let begun = self.folder(&row.operation).exists();
-            let gone = age > self.kept.as_secs()
-                || (!begun && age > BEGINNING.as_secs())
-                || self.db.operation(&row.operation)?.is_some();
-            if gone && let Ok(Claimed::Mine(claim)) = self.claim(&row.operation) {
-                // Another server may be receiving it.
-                if begun && staging::lock(&self.folder(&row.operation))?.is_none() {
-                    continue;
-                }
-                self.remove(&claim)?;
-                removed += 1;
+            if self.is_left(row)?
+                && let Ok(Claimed::Mine(claim)) = self.claim(&row.operation)
+            {
+                let gone = self.alone(&row.operation, || {
+                    // It may have gone on before it was claimed.
+                    let unchanged = self.catalog(|c| c.all())?.contains(row);
+                    if unchanged { self.remove(&claim) } else { Ok(false) }
+                })?;
+                removed += usize::from(gone == Some(true));
             }
         }
-        let named: HashSet<String> = rows.iter().map(|r| folder_name(&r.operation)).collect();
-        for name in folders.iter().filter(|n| !named.contains(*n)) {
-            let folder = root.join(name);
-            if folder.exists() && staging::lock(&folder)?.is_some() {
+        let orphans = |rows: &[db::Upload]| {
+            let named: HashSet<String> = rows.iter().map(|r| folder_name(&r.operation)).collect();
+            folders.iter().filter(|n| !named.contains(*n)).cloned().collect::<Vec<_>>()
+        };
+        for name in orphans(&rows) {
+            let folder = root.join(&name);
+            if folder.exists()
+                && let Some(_held) = staging::lock(&folder)?
+                // An abandoned one may have begun again meanwhile.
+                && orphans(&self.catalog(|c| c.all())?).contains(&name)
+            {
                 remove_folder(&folder)?;
                 removed += 1;
             }
         }
         Ok(removed)
+    }
+
+    /// Whether an upload was committed, or nobody touched it for too long.
+    fn is_left(&self, row: &db::Upload) -> Result<bool> {
+        let age = now().saturating_sub(row.touched_at).max(0) as u64;
+        let begun = self.folder(&row.operation).exists();
+        Ok(age > self.kept.as_secs()
+            || (!begun && age > BEGINNING.as_secs())
+            || self.db.operation(&row.operation)?.is_some())
     }
 
     /// Waits until the server stops: no more samples are taken then.

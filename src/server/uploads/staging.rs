@@ -11,7 +11,7 @@ use crate::wire::{self, MESSAGE_BYTES};
 use flate2::read::ZlibDecoder;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read};
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 /// File of the rows of all grids.
@@ -36,13 +36,18 @@ pub fn room(said: &Said) -> u64 {
     said.bytes + said.rows * ENTRY_BYTES + 4096
 }
 
-/// A lock on a folder of an upload; `None` if another process has it.
+/// A lock on a folder of an upload, held as long as the file is; `None` if another process has it.
 pub fn lock(folder: &Path) -> Result<Option<File>> {
     let path = folder.join(SAMPLES);
     let samples = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
     let samples = samples.map_err(|e| Error::io(&path, e))?;
     match samples.try_lock() {
-        Ok(()) => Ok(Some(samples)),
+        Ok(()) => {
+            // Whoever held it may have removed it.
+            let held = samples.metadata().map_err(|e| Error::io(&path, e))?.ino();
+            let there = std::fs::metadata(&path).is_ok_and(|m| m.ino() == held);
+            Ok(there.then_some(samples))
+        }
         Err(TryLockError::WouldBlock) => Ok(None),
         Err(TryLockError::Error(e)) => Err(Error::io(&path, e)),
     }
@@ -59,7 +64,6 @@ impl Staging {
     /// # Errors
     /// If another process receives it; if it is damaged.
     pub fn open(folder: &Path, said: &Said) -> Result<Staging> {
-        let begun = !folder.exists();
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         let path = folder.join(SAMPLES);
         let samples = lock(folder)?.ok_or_else(|| Error::Busy {
@@ -93,9 +97,9 @@ impl Staging {
             }
             samples.set_len(said.bytes).and_then(|()| samples.sync_all()).map_err(io)?;
         }
-        if begun {
-            sync_folder(folder)?;
-            folder.parent().map_or(Ok(()), sync_folder)?;
+        // Also of a folder that was there: who made it may have been killed before it was durable.
+        for above in folder.ancestors().take(3) {
+            sync_folder(above)?;
         }
         let (fresh, fresh_bytes) = (Vec::new(), 0);
         Ok(Staging {
@@ -149,10 +153,11 @@ impl Staging {
         if self.fresh.is_empty() {
             return Ok(Vec::new());
         }
+        // Tried once: after a failure a second sync may succeed though the bytes are lost.
+        let spans = joined(std::mem::take(&mut self.fresh));
+        self.fresh_bytes = 0;
         self.samples.sync_data().map_err(|e| Error::io(self.folder.join(SAMPLES), e))?;
-        let spans = joined(self.fresh.clone());
         self.journal.add(&spans)?;
-        (self.fresh, self.fresh_bytes) = (Vec::new(), 0);
         Ok(spans)
     }
 
