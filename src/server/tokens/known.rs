@@ -77,7 +77,7 @@ impl Tokens {
         let Some(given) = given else {
             return Err(Status::unauthenticated(format!(
                 "{what} needs a token with the right {needed}, and none was given; send `authorization: Bearer tq_...` (the \
-                 operator makes one by `terraquilt token add`)"
+                 command line: --token-file or TERRAQUILT_TOKEN; the operator makes one by `terraquilt token add`)"
             )));
         };
         let token = known.get(&hash_of(given)).ok_or_else(|| {
