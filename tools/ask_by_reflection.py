@@ -8,7 +8,8 @@
   TERRAQUILT_TOKEN=tq_... tools/ask_by_reflection.py maps.example:443 --tls [--ca FILE]
 
 The third word is one JSON message, or a list of them for a method that takes a stream; `bytes` are base64. Answers are printed
-as JSON, one a line. Exit 1: the call failed, and its code and text are on standard error.
+as JSON, one a line. Exit 1: the call failed, and its code and text are on standard error; 2: there is no such method, or the
+message does not fit it.
 """
 
 import argparse
@@ -79,8 +80,12 @@ def main():
         print(f"{args.method}: the server has no such method", file=sys.stderr)
         return 2
     request, reply = (message_factory.GetMessageClass(t) for t in (method.input_type, method.output_type))
-    given = json.loads(args.message)
-    messages = [json_format.ParseDict(m, request()) for m in (given if isinstance(given, list) else [given])]
+    try:
+        given = json.loads(args.message)
+        messages = [json_format.ParseDict(m, request()) for m in (given if isinstance(given, list) else [given])]
+    except (json.JSONDecodeError, json_format.ParseError) as e:
+        print(f"{method.input_type.full_name}: {e}", file=sys.stderr)
+        return 2
     # Every method can be called as one that streams both ways: on the wire a single message is a stream of one.
     call = channel.stream_stream(f"/{args.method}", request.SerializeToString, reply.FromString)
     answers = call(iter(messages), timeout=args.seconds)
@@ -98,5 +103,5 @@ if __name__ == "__main__":
     except grpc.RpcError as e:
         print(f"{e.code().name}: {e.details()}", file=sys.stderr)
         sys.exit(1)
-    except BrokenPipeError:
+    except (BrokenPipeError, KeyboardInterrupt):
         sys.exit(0)

@@ -166,6 +166,10 @@ def talk(pb, address, out):
     catalog = pb.catalog_calls.CatalogStub(channel)
     ingest = pb.ingest_calls.IngestStub(channel)
     heights = pb.heights_calls.HeightsStub(channel)
+    crs = catalog.Info(pb.catalog.InfoRequest()).ground.crs
+    if crs not in ("", "EPSG:26910"):
+        sys.exit(f"{address}: its database is in {crs}, this program's surveys are in EPSG:26910; serve another, made by "
+                 "`terraquilt init DB --crs EPSG:26910`")
     view = View(pb, pb.view_calls.ViewStub(channel), error_m=5.0)
 
     for file, name, day, accuracy in SURVEYS:
@@ -207,4 +211,7 @@ def talk(pb, address, out):
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except grpc.RpcError as e:
+        sys.exit(f"{e.code().name}: {e.details()}")

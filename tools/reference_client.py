@@ -6,11 +6,13 @@ compares it with the heights that the server gives.
     terraquilt serve DB &
     python3 tools/reference_client.py localhost:50051
 
-Prints a line for each tolerance; exit 1 if a height is more than 1e-6 m off, or is there on one side only.
+Prints a line for each tolerance; exit 1 if a height is more than 1e-6 m off, or is there on one side only; exit 2 if the
+server did not answer.
 """
 
 import argparse
 import math
+import os
 import pathlib
 import struct
 import sys
@@ -438,7 +440,7 @@ def set_hash(patches, otherwise):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("server", help="host:port")
-    parser.add_argument("--token", help="bearer token")
+    parser.add_argument("--token", default=os.environ.get("TERRAQUILT_TOKEN"), help="bearer token [default: $TERRAQUILT_TOKEN]")
     parser.add_argument("--points", type=int, default=2000, help="random points for each tolerance")
     parser.add_argument("--box", help="xmin,ymin,xmax,ymax [default: all there is]")
     parser.add_argument("--seed", type=int, default=1)
@@ -565,4 +567,8 @@ def in_sight(c, ground, points):
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except grpc.RpcError as e:
+        print(f"{e.code().name}: {e.details()}", file=sys.stderr)
+        sys.exit(2)

@@ -24,7 +24,7 @@ use std::sync::atomic::Ordering;
 )]
 #[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "error_raster", "focus", "survey"])))]
 pub struct Export {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     /// File to write; its ending says the format
     out: PathBuf,

@@ -323,7 +323,7 @@ fn tell(o: &Outcome, json: bool, dry_run: bool) -> Result<bool> {
     after_help = "Examples:\n  terraquilt ingest pit flight-07.tif --accuracy 0.1 --date 2026-03-07\n  terraquilt ingest hills n47/*.tif --name lidar-2025 --accuracy 0.2\n  terraquilt ingest hills late-tile.tif --into lidar-2025"
 )]
 pub struct IngestFiles {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     /// GeoTIFF, HGT, DTED, Esri ASCII or float, ENVI, USGS DEM or grey PNG files, zipped or not
     #[arg(required = true)]
@@ -374,7 +374,7 @@ impl IngestFiles {
 #[derive(Args)]
 #[command(after_help = "Example:\n  terraquilt replace hills lidar-2025 corrected/*.tif")]
 pub struct Replace {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     /// Survey whose tiles are delivered again
     survey: String,
@@ -400,7 +400,7 @@ impl Replace {
 #[derive(Args)]
 #[command(after_help = "Example:\n  terraquilt set pit flight-07 --date 2026-03-08")]
 pub struct Set {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     survey: String,
     /// Day of the survey
@@ -448,7 +448,7 @@ impl Set {
     after_help = "Example:\n  terraquilt remove pit flight-06\nThe bytes stay for --at until `terraquilt prune`."
 )]
 pub struct Remove {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     #[arg(required = true)]
     surveys: Vec<String>,

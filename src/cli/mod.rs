@@ -31,7 +31,7 @@ use std::process::ExitCode;
 #[derive(Parser)]
 #[command(name = "terraquilt", version, max_term_width = 100)]
 #[command(
-    after_help = "Example:\n  terraquilt init hills --crs EPSG:32610\n  terraquilt ingest hills lidar.tif --accuracy 0.3\n  terraquilt export hills hills.png --error 2\n  terraquilt demo        # the whole story on real surveys"
+    after_help = "Example:\n  terraquilt init hills --crs EPSG:32610\n  terraquilt ingest hills lidar.tif --accuracy 0.3\n  terraquilt export hills hills.png --error 2\n  terraquilt serve hills                              # then, in another terminal:\n  terraquilt surveys --server 127.0.0.1:50051\n  terraquilt demo        # the whole story on real surveys"
 )]
 struct Cli {
     #[command(subcommand)]

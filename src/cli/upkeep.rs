@@ -180,7 +180,7 @@ impl Rebuild {
 #[derive(Args)]
 #[command(after_help = "Examples:\n  terraquilt prune hills --keep 1\n  terraquilt prune hills --before 12")]
 pub struct Prune {
-    /// Directory of the database
+    /// Directory of the database (or --server ADDR)
     db: PathBuf,
     /// Keep the newest N versions
     #[arg(long, value_name = "N", required_unless_present = "before", conflicts_with = "before")]

@@ -68,10 +68,7 @@ impl Writing {
             if head.declaration == declaration && same(head) {
                 return self.nothing(e.clone(), posts, voids, warnings);
             }
-            return Err(Error::invalid(
-                format!("survey '{}'", e.name),
-                "is already in the database; add tiles with --into, correct it with `terraquilt replace`, or choose another --name",
-            ));
+            return Err(name_taken(&e.name));
         }
         if let (Some(e), Some(h)) = (&entry, &before)
             && same(h)
@@ -205,6 +202,14 @@ impl Writing {
         let d = self.view.directory(&t.directory)?;
         Ok(std::iter::once(t.directory).chain(d.pages.iter().map(|(p, _)| *p)).collect())
     }
+}
+
+/// A new survey may not have the name of another one.
+pub(super) fn name_taken(name: &str) -> Error {
+    Error::invalid(
+        format!("survey '{name}'"),
+        "is already in the database; add tiles with --into, correct it with `terraquilt replace`, or choose another --name",
+    )
 }
 
 /// What is known of an ingest before a sample is read.

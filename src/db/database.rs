@@ -204,7 +204,7 @@ impl Db {
             if root.join(AWAITING).exists() {
                 return Err(Error::missing(
                     format!("a coordinate system in {}", root.display()),
-                    "it is chosen when the first survey comes (`terraquilt ingest`), or by `terraquilt init --crs`",
+                    "it is chosen when the first survey comes; run `terraquilt ingest` first (before `terraquilt serve`, too)",
                 ));
             }
             if root.join(UNFINISHED).exists() {

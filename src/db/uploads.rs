@@ -5,7 +5,7 @@
 //! ```
 //! Commits, prune, backups and copies neither read nor remove them.
 
-use super::arrive::foresee;
+use super::arrive::{foresee, name_taken};
 use super::change::{Change, Ingest, Outcome};
 use super::database::{Db, Snapshot};
 use crate::base::{Error, Result};
@@ -50,8 +50,12 @@ impl Db {
         let named = || snapshot.entries().find(|e| e.name == found.declaration.name);
         let Some(entry) = found.entry.as_ref().or_else(named) else { return Ok(None) };
         let head = snapshot.head(entry.number)?;
-        if matches!(change, Change::Replace { .. }) || head.declaration != found.declaration {
+        if matches!(change, Change::Replace { .. }) {
             return Ok(None);
+        }
+        if head.declaration != found.declaration {
+            // Whatever its samples are, a survey of another declaration cannot take the name.
+            return if found.entry.is_some() { Ok(None) } else { Err(name_taken(&entry.name)) };
         }
         let (mut posts, mut voids) = (0, 0);
         for (k, (source, at)) in ingest.sources.iter().zip(&found.places).enumerate() {

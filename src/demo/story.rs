@@ -141,7 +141,7 @@ pub async fn tell(dir: &Path) -> Result<bool> {
     out.line(format!("  terraquilt surveys {p}"))?;
     out.line(format!("  terraquilt heights {p} --error 0 562660,5116000 --explain"))?;
     out.line(format!(
-        "  terraquilt serve {p}      # and from elsewhere: terraquilt surveys --server 127.0.0.1:50051"
+        "  terraquilt serve {p}      # and in another terminal: terraquilt surveys --server 127.0.0.1:50051"
     ))?;
     out.line(format!("  terraquilt verify {p}"))?;
     out.line("  and on your own grids:")?;

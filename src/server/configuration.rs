@@ -195,7 +195,12 @@ const KEYS: &[Key] = &[
         "How long what arrived of an upload is kept after its connection broke"
     ),
     time!("upload-idle", upload_idle, "How long an upload may send nothing before its stream is ended"),
-    number!("uploads-max", uploads_max, 1_000_000, "Uploads that may be in progress at once"),
+    number!(
+        "uploads-max",
+        uploads_max,
+        1_000_000,
+        "Uploads that may be in progress, or kept to be resumed, at once"
+    ),
     number!(
         "uploads-bytes-max",
         uploads_bytes_max,
@@ -224,7 +229,7 @@ const KEYS: &[Key] = &[
     Key {
         name: "log-level",
         value: "LEVEL",
-        help: "What is logged: error, warn, info (a line for each call), debug, trace",
+        help: "What is logged: error, warn, info (a line for each call), debug, trace; or filters such as info,h2=debug",
         kind: Kind::Text,
         set: |s, t| {
             s.log_level = t.into();

@@ -6,17 +6,23 @@
 use super::settings::{LogForm, Settings};
 use crate::base::{Error, Result};
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 /// Starts the log of this process.
 ///
 /// # Errors
 /// If `log_level` is no level and no list of filters.
 pub fn start(settings: &Settings) -> Result<()> {
-    // The library that brings catalogs up to date says at each opening that there is nothing to do.
-    let filter = EnvFilter::try_new(format!("refinery_core=warn,{}", settings.log_level)).map_err(|e| {
-        let what = format!("'{}': {e}; give error, warn, info, debug or trace", settings.log_level);
-        Error::invalid("log-level", what)
-    })?;
+    let level = &settings.log_level;
+    let refused = |e: &dyn std::fmt::Display| {
+        Error::invalid("log-level", format!("'{level}': {e}; give error, warn, info, debug or trace"))
+    };
+    // A word alone would be taken for the name of a part of the program, and nothing logged.
+    if !level.contains('=') && level.parse::<LevelFilter>().is_err() {
+        return Err(refused(&"is no level"));
+    }
+    // The library below the catalog tells of every time that it finds nothing to do.
+    let filter = EnvFilter::try_new(format!("refinery_core=warn,{level}")).map_err(|e| refused(&e))?;
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     // A second server in one process writes into the first one's log.
     let _ = match settings.log {

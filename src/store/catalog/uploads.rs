@@ -87,11 +87,19 @@ impl Uploads {
             })
             .map_err(wrong)?;
         if count as u64 >= most {
-            return Err(Error::limit("uploads in progress", most, count as u64 + 1));
+            return Err(Error::limit(
+                "uploads in progress or kept to be resumed (abandon one, or wait)",
+                most,
+                count as u64 + 1,
+            ));
         }
         let wanted = (bytes as u64).saturating_add(upload.bytes);
         if wanted > most_bytes {
-            return Err(Error::limit("bytes of uploads in progress", most_bytes, wanted));
+            return Err(Error::limit(
+                "bytes of uploads in progress or kept to be resumed (abandon one, or wait)",
+                most_bytes,
+                wanted,
+            ));
         }
         tx.execute(
             "INSERT INTO upload VALUES (?1, ?2, ?3, ?4)",
