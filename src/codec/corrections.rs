@@ -188,14 +188,9 @@ mod tests {
         let spans = [[0.0, 4.0]].into();
         let bytes = pack(&Field::of(vec![Channel { spans, nodes, contradicted }], false)).unwrap();
         assert_eq!(bytes[..12], [0, 1, 0, 1, 0, 0, 0, 0, 0, 0, 128, 64]);
-        // 3248 zeros, then zigzag(1) = 2 as 110; 0, gamma(3248) = 11 zeros and 12 bits, gamma(1) = 1.
+        // 3248 zeros, then zigzag(1) = 2 as 110; 0; gamma(3248) as 11 zeros and 110010110000; gamma(1) as 1.
         assert!(bytes[12..12 + 406].iter().all(|b| *b == 0));
-        assert_eq!(
-            bytes[418..],
-            [0b1100_0000, 0b0000_0000, 0b1100_1011, 0b0000_1000],
-            "{:x?}",
-            &bytes[418..]
-        );
+assert_eq!(bytes[418..], [0xc0, 0x01, 0x96, 0x10], "{:x?}", &bytes[418..]);
     }
 
     #[test]
