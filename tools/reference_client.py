@@ -10,6 +10,7 @@ Prints a line for each tolerance, with seams as delivered and corrected; exit 1 
 """
 
 import argparse
+import functools
 import math
 import pathlib
 import struct
@@ -178,8 +179,9 @@ def unpack_cells(level, data):
     return cells
 
 
+@functools.lru_cache(maxsize=4096)
 class Correction:
-    """The correction of a survey over a level-0 place."""
+    """The correction of a survey over a level-0 place. The same bytes are unpacked once."""
 
     STEP = 2.0**-16
 

@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(bytes[..12], [0, 1, 0, 1, 0, 0, 0, 0, 0, 0, 128, 64]);
         // 3248 zeros, then zigzag(1) = 2 as 110; 0; gamma(3248) as 11 zeros and 110010110000; gamma(1) as 1.
         assert!(bytes[12..12 + 406].iter().all(|b| *b == 0));
-assert_eq!(bytes[418..], [0xc0, 0x01, 0x96, 0x10], "{:x?}", &bytes[418..]);
+        assert_eq!(bytes[418..], [0xc0, 0x01, 0x96, 0x10], "{:x?}", &bytes[418..]);
     }
 
     #[test]

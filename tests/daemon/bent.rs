@@ -1,11 +1,14 @@
 //! Corrections of seams as they travel: a client bends the surface as the server does.
 
 use super::queries::{error_m, helens, served};
-use super::worlds::Random;
+use super::worlds::{Random, Scratch, random_grid, seeds};
 use std::collections::BTreeMap;
 use terraquilt::client::query::Patches;
 use terraquilt::codec::corrections;
-use terraquilt::db::query::Tolerance;
+use terraquilt::db::query::{Area, Query, Tolerance};
+use terraquilt::db::{CorrectionPart, Policy, Snapshot};
+use terraquilt::height::lod::SurveyNumber;
+use terraquilt::height::patch::Kind;
 use terraquilt::height::surface::seam::Field;
 use terraquilt::height::surface::{Blend, How, Seams};
 use terraquilt::wire::v1;
@@ -16,68 +19,101 @@ fn asked(e: f64, seams: v1::Seams, at: u64) -> v1::PatchesRequest {
     v1::PatchesRequest { tolerance: error_m(e), seams: seams as i32, at, ..Default::default() }
 }
 
-fn fields(found: &Patches) -> BTreeMap<(u32, i32, i32), Field> {
-    let one = |c: &v1::CorrectionBlock| ((c.survey, c.i, c.j), corrections::unpack(&c.nodes).unwrap());
-    found.corrections.iter().map(one).collect()
+/// The ramp of fades along the tolerance.
+fn ramp(smooth: bool, t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    if smooth { t * t * t * (10.0 + t * (6.0 * t - 15.0)) } else { t }
 }
 
-/// The correction of a survey at a point, from what travelled.
-fn correction(
-    found: &Patches,
-    fields: &BTreeMap<(u32, i32, i32), Field>,
-    survey: u32,
-    p: [f64; 2],
-    z: f64,
-) -> f64 {
-    let size = 2f64.powi(found.header.ground.as_ref().unwrap().lattice_unit_log2);
-    let f = found.header.surveys.iter().find(|f| f.survey == survey).unwrap();
-    let [dx, dy] = [p[0] / size - f.anchor_x as f64, p[1] / size - f.anchor_y as f64];
-    let [ux, uy, vx, vy] = [f.u_x, f.u_y, f.v_x, f.v_y].map(|v| v as f64);
-    let det = ux * vy - uy * vx;
-    let index = [(dx * vy - dy * vx) / det, (ux * dy - uy * dx) / det];
-    let place = index.map(|c| (c / 28.0).floor());
-    let [x, y] = [0, 1].map(|k| index[k] - 28.0 * place[k]);
-    let field = fields.get(&(survey, place[0] as i32, place[1] as i32));
-    field.map_or(0.0, |f| f.at(x, y, z, |t: f64| t.clamp(0.0, 1.0)).0)
+/// What a client knows of a survey: anchor, u and v of its frame, CRS units.
+type Frames = BTreeMap<u32, [[f64; 2]; 3]>;
+
+/// What bends the surveys of an answer.
+struct Bends {
+    frames: Frames,
+    fields: BTreeMap<(u32, i32, i32), Field>,
+    smooth: bool,
+}
+
+impl Bends {
+    fn travelled(found: &Patches) -> Bends {
+        let size = 2f64.powi(found.header.ground.as_ref().unwrap().lattice_unit_log2);
+        let frame = |f: &v1::SurveyFrame| {
+            let points = [[f.anchor_x, f.anchor_y], [f.u_x, f.u_y], [f.v_x, f.v_y]];
+            (f.survey, points.map(|p| p.map(|v| v as f64 * size)))
+        };
+        let field = |c: &v1::CorrectionBlock| ((c.survey, c.i, c.j), corrections::unpack(&c.nodes).unwrap());
+        let frames = found.header.surveys.iter().map(frame).collect();
+        Bends { frames, fields: found.corrections.iter().map(field).collect(), smooth: false }
+    }
+
+    /// Without a server.
+    fn of(s: &Snapshot, query: &Query, smooth: bool) -> Bends {
+        let selection = s.select(query).unwrap();
+        let size = s.unit().size();
+        let frame = |n: SurveyNumber| {
+            let f = s.survey_by_number(n).unwrap().geometry.frame;
+            (n.0, [f.anchor, f.u, f.v].map(|p| [p.x as f64 * size, p.y as f64 * size]))
+        };
+        let frames = s.surveys_of(&selection).into_iter().map(frame).collect();
+        let parts = s.corrections(&selection, query.how).unwrap();
+        let field = |c: &CorrectionPart| ((c.survey.0, c.i, c.j), corrections::unpack(&c.nodes).unwrap());
+        Bends { frames, fields: parts.iter().map(field).collect(), smooth }
+    }
+
+    /// The correction of a survey at a point and a tolerance.
+    fn at(&self, survey: u32, p: [f64; 2], z: f64) -> f64 {
+        let [anchor, u, v] = self.frames[&survey];
+        let [dx, dy] = [p[0] - anchor[0], p[1] - anchor[1]];
+        let det = u[0] * v[1] - u[1] * v[0];
+        let index = [(dx * v[1] - dy * v[0]) / det, (u[0] * dy - u[1] * dx) / det];
+        let place = index.map(|c| (c / 28.0).floor());
+        let [x, y] = [0, 1].map(|k| index[k] - 28.0 * place[k]);
+        let field = self.fields.get(&(survey, place[0] as i32, place[1] as i32));
+        field.map_or(0.0, |f| f.at(x, y, z, |t: f64| ramp(self.smooth, t)).0)
+    }
+
+    /// How many points are bent, and by how much the sum over who makes a height differs from what the server says.
+    fn compare(&self, s: &Snapshot, points: &[[f64; 2]], z: f64, how: How) -> (usize, f64) {
+        let tolerance = Tolerance::Constant(z);
+        let heights = s.heights(points, &tolerance, how).unwrap();
+        let makers = s.explained(points, &tolerance, how).unwrap();
+        let (mut bent, mut worst) = (0, 0.0f64);
+        for ((p, height), makers) in points.iter().zip(&heights).zip(&makers) {
+            let Some(height) = height else { continue };
+            let own: f64 = makers.iter().flatten().map(|(r, share)| share * self.at(r.survey.0, *p, z)).sum();
+            bent += usize::from(height.correction_m != 0.0);
+            worst = worst.max((own - height.correction_m).abs());
+        }
+        (bent, worst)
+    }
+}
+
+fn scattered(s: &Snapshot, r: &mut Random, count: usize) -> Vec<[f64; 2]> {
+    let b = s.bounds().unwrap();
+    (0..count).map(|_| [b[0] + (b[2] - b[0]) * r.unit(), b[1] + (b[3] - b[1]) * r.unit()]).collect()
 }
 
 #[tokio::test]
 async fn a_client_bends_the_surface_as_the_server_does() {
     let (server, client) = served().await;
     let now = helens().snapshot(Some(2)).unwrap();
-    let b = now.bounds().unwrap();
-    let mut r = Random::new(7);
-    let mut points = Vec::new();
-    while points.len() < 1500 {
-        points.push([b[0] + (b[2] - b[0]) * r.unit(), b[1] + (b[3] - b[1]) * r.unit()]);
-    }
+    let points = scattered(&now, &mut Random::new(7), 1500);
     for (name, seams) in [(v1::Seams::All, Seams::All), (v1::Seams::Consistent, Seams::Consistent)] {
         let how = How { blend: Blend::Exact, seams };
         for e in [0.0, 4.0, 20.0] {
             let found = client.patches(asked(e, name, 2)).await.unwrap();
-            let fields = fields(&found);
+            let bends = Bends::travelled(&found);
             let bytes: usize = found.corrections.iter().map(|c| c.nodes.len()).sum();
-            let tolerance = Tolerance::Constant(e);
-            let heights = now.heights(&points, &tolerance, how).unwrap();
-            let makers = now.explained(&points, &tolerance, how).unwrap();
-            let (mut bent, mut worst) = (0, 0.0f64);
-            for ((p, height), makers) in points.iter().zip(&heights).zip(&makers) {
-                let Some(height) = height else { continue };
-                let own: f64 = makers
-                    .iter()
-                    .flatten()
-                    .map(|(r, share)| share * correction(&found, &fields, r.survey.0, *p, e))
-                    .sum();
-                bent += usize::from(height.correction_m != 0.0);
-                worst = worst.max((own - height.correction_m).abs());
-            }
+            let blocks = bends.fields.len();
+            let (bent, worst) = bends.compare(&now, &points, e, how);
             println!(
                 "{name:?}, {e} m: {} blocks of {} bytes, {bent} of {} points bent, {worst:.1e} m off",
-                fields.len(),
-                bytes / fields.len().max(1),
+                blocks,
+                bytes / blocks.max(1),
                 points.len()
             );
-            assert!(worst < 1e-6 && fields.len() > 10 && bent > 50, "{worst} m, {bent} points");
+            assert!(worst < 1e-6 && blocks > 10 && bent > 50, "{worst} m, {bent} points");
         }
     }
     let bare = v1::PatchesRequest { descriptors_only: true, ..asked(0.0, v1::Seams::All, 2) };
@@ -88,22 +124,44 @@ async fn a_client_bends_the_surface_as_the_server_does() {
     server.stop().await.unwrap();
 }
 
-#[tokio::test]
-async fn the_corrections_of_a_part_are_those_of_the_whole() {
+#[test]
+fn random_worlds_are_bent_by_their_parts_alone() {
+    let (mut bent, mut blocks) = (0, 0);
+    for seed in seeds(4) {
+        let mut r = Random::new(seed);
+        let (policy, patch) =
+            if r.chance(0.5) { (Policy::Accuracy, Kind::Bilinear) } else { (Policy::Newest, Kind::Bicubic) };
+        let world = Scratch::of(policy, patch);
+        for k in 0..3 {
+            world.ingest(&random_grid(&mut r, &format!("s{k}"), 60));
+        }
+        let s = world.db.snapshot(None).unwrap();
+        let z = r.unit() * 8.0;
+        let query = Query { area: Area::Everything, tolerance: Tolerance::Constant(z), how: ALL };
+        let bends = Bends::of(&s, &query, patch == Kind::Bicubic);
+        let (some, worst) = bends.compare(&s, &scattered(&s, &mut r, 400), z, ALL);
+        assert!(worst < 1e-6, "seed {seed}, {z} m: {worst} m");
+        (bent, blocks) = (bent + some, blocks + bends.fields.len());
+    }
+    assert!(bent > 20 && blocks > 8, "{bent} points, {blocks} blocks");
+}
+
+#[test]
+fn the_corrections_of_a_part_are_those_of_the_whole() {
     let now = helens().snapshot(Some(2)).unwrap();
     let ask = |area| {
         let tolerance = Tolerance::Constant(1.0);
-        let query = terraquilt::db::query::Query { area, tolerance, how: ALL };
+        let query = Query { area, tolerance, how: ALL };
         now.corrections(&now.select(&query).unwrap(), ALL).unwrap()
     };
-    let whole = ask(terraquilt::db::query::Area::Everything);
+    let whole = ask(Area::Everything);
     assert!(whole.is_sorted_by(|a, b| a.key() < b.key()));
     let b = now.bounds().unwrap();
     let mut r = Random::new(3);
     let mut some = 0;
     for _ in 0..20 {
         let (x, y) = (b[0] + (b[2] - b[0]) * r.unit(), b[1] + (b[3] - b[1]) * r.unit());
-        let part = ask(terraquilt::db::query::Area::Box([x, y, x + 300.0, y + 300.0]));
+        let part = ask(Area::Box([x, y, x + 300.0, y + 300.0]));
         assert!(part.iter().all(|c| whole.contains(c)));
         some += part.len();
     }
