@@ -6,11 +6,12 @@ compares it with the heights that the server gives.
     terraquilt serve DB &
     python3 tools/reference_client.py localhost:50051
 
-Prints a line for each tolerance; exit 1 if a height is more than 1e-6 m off, or is there on one side only; exit 2 if the
-server did not answer.
+Prints a line for each tolerance, with seams as delivered and corrected; exit 1 if a height is more than 1e-6 m off, or is there
+on one side only; exit 2 if the server did not answer.
 """
 
 import argparse
+import functools
 import math
 import os
 import pathlib
@@ -64,6 +65,14 @@ class Bits:
         while self.take(1) == 0:
             n += 1
         return 1 << n | self.take(n)
+
+    def rice(self, s):
+        """A number whose size is expected from eight times those around."""
+        parameter = (3 * s // 32 + 1).bit_length() - 1
+        ones = 0
+        while ones < 24 and self.take(1):
+            ones += 1
+        return ones << parameter | self.take(parameter) if ones < 24 else self.take(48)
 
     def end(self):
         left = self.size - self.at
@@ -131,11 +140,7 @@ def unpack_vertices(data):
             if kind[k] == 2:
                 q[k], m[k] = p, s // 8
                 continue
-            parameter = (3 * s // 32 + 1).bit_length() - 1
-            ones = 0
-            while ones < 24 and bits.take(1):
-                ones += 1
-            m[k] = ones << parameter | bits.take(parameter) if ones < 24 else bits.take(48)
+            m[k] = bits.rice(s)
             q[k] = p + unzigzag(m[k])
             if kind[k] == 1:
                 rest[k] = unzigzag(bits.take(width))
@@ -174,6 +179,79 @@ def unpack_cells(level, data):
     part(0, 0, n)
     bits.end()
     return cells
+
+
+@functools.lru_cache(maxsize=4096)
+class Correction:
+    """The correction of a survey over a level-0 place. The same bytes are unpacked once."""
+
+    STEP = 2.0**-16
+
+    def __init__(self, data):
+        self.bytes = len(data)
+        self.smooth, count = struct.unpack_from("<BH", data)
+        at, spans = 3, []
+        for _ in range(count):
+            ends = np.frombuffer(data, "<f4", 2 * data[at], at + 1).astype(float)
+            spans.append(ends.reshape(-1, 2))
+            at += 1 + 8 * len(spans[-1])
+        self.side = 59 if self.smooth else 57
+        bits = Bits(data[at:])
+        self.channels = [(s, self.nodes(bits), self.flags(bits)) for s in spans]
+        bits.end()
+
+    def nodes(self, bits):
+        side = self.side
+        q, m = [0] * side * side, [0] * side * side
+        for k in range(side * side):
+            b, a = divmod(k, side)
+            if k == 0:
+                p, s = 0, 0
+            elif b == 0 or a == 0:
+                n = k - 1 if b == 0 else k - side
+                p, s = q[n], 8 * m[n]
+            else:
+                w, n = k - 1, k - side
+                nw, ne, ww, nn = n - 1, n + (a < side - 1), w - (a > 1), n - side * (b > 1)
+                p = max(-WHOLE_MAX, min(WHOLE_MAX, q[w] + q[n] - q[nw]))
+                s = 2 * (m[w] + m[n]) + m[nw] + m[ne] + m[ww] + m[nn]
+            m[k] = bits.rice(s)
+            q[k] = p + unzigzag(m[k])
+        return np.array(q, float).reshape(side, side) * self.STEP
+
+    def flags(self, bits):
+        flags, now = [], bool(bits.take(1))
+        while len(flags) < self.side**2:
+            flags += [now] * bits.gamma()
+            now = not now
+        return np.array(flags).reshape(self.side, self.side)
+
+    def at(self, x, y, z, ramp):
+        """At positions in cells from the corner of the place, and tolerances."""
+        a, b = (np.clip(np.floor(2 * c), 0, 55).astype(int) for c in (x, y))
+        s, t = 2 * x - a, 2 * y - b
+        total = np.zeros(len(x))
+        for spans, n, _ in self.channels:
+            if self.smooth:
+                bs, bt = splines(s), splines(t)
+                value = sum(bt[k] * sum(bs[m] * n[b + k, a + m] for m in range(4)) for k in range(4))
+            else:
+                left = n[b, a] + (n[b + 1, a] - n[b, a]) * t
+                right = n[b, a + 1] + (n[b + 1, a + 1] - n[b, a + 1]) * t
+                value = left + (right - left) * s
+            shown = np.zeros(len(x))
+            for bottom, top in spans:
+                up = 1.0 if bottom == 0 else ramp((z - bottom) / ((KAPPA - 1) * bottom))
+                down = 1.0 if math.isinf(top) else 1 - ramp((z - top) / ((KAPPA - 1) * top))
+                shown = shown + up * down
+            total += np.minimum(shown, 1.0) * value
+        return total
+
+
+def splines(t):
+    """The four cubic B-splines over a step."""
+    u = 1.0 - t
+    return u**3 / 6, (t**2 * (3 * t - 6) + 4) / 6, (u**2 * (3 * u - 6) + 4) / 6, t**3 / 6
 
 
 # ------------------------------------------------------------------------------------------ the surface
@@ -315,6 +393,19 @@ class Terrain:
                 product = np.where(self.masked(survey, ci + di, cj + dj), product * (ax + (1.0 - ax) * ay), product)
         return product
 
+    def correction(self, survey, p, z):
+        """What is added to the patches of a survey."""
+        i, j = self.index(survey, p)
+        place_i, place_j = np.floor(i / 28).astype(int), np.floor(j / 28).astype(int)
+        out = np.zeros(len(p))
+        for key in set(zip(place_i.tolist(), place_j.tolist())):
+            block = self.corrections.get((survey, *key))
+            if block is not None:
+                here = np.flatnonzero((place_i == key[0]) & (place_j == key[1]))
+                x, y = i[here] - 28 * key[0], j[here] - 28 * key[1]
+                out[here] = block.at(x, y, z[here], self.ramp)
+        return out
+
     @property
     def bicubic(self):
         return self.ground.patch == 2
@@ -324,6 +415,7 @@ class Terrain:
         z = tolerance_at(tolerance, self.ground, p)
         outside = {s: self.outside(s, p) for s in self.surveys}
         index = {s: self.index(s, p) for s in self.surveys}
+        corrections = {s: self.correction(s, p, z) for s in {key[0] for key in self.corrections}}
         weights, total = np.zeros(len(p)), np.zeros(len(p))
         reference = np.full(len(p), np.nan)
         for patch in sorted(self.patches.values(), key=lambda q: q.id):
@@ -357,6 +449,8 @@ class Terrain:
             if shape is None:
                 shape = self.shapes[patch.id] = Shape(unpack_vertices(patch.payload), self.bicubic)
             height = shape.at(a[here], b[here])
+            if patch.survey in corrections:
+                height = height + corrections[patch.survey][here]
             reference[here] = np.where(np.isnan(reference[here]), height, reference[here])
             weights[here] += w
             total[here] += w * (height - reference[here])
@@ -365,10 +459,14 @@ class Terrain:
 
     # What streams bring.
 
-    def take_blocks(self, masks, gone=()):
-        for m in gone:
+    def take_blocks(self, d):
+        for m in d.masks_removed:
             self.masks.pop((m.survey, m.level, m.i, m.j), None)
-        for m in masks:
+        for c in d.corrections_removed:
+            del self.corrections[c.survey, c.i, c.j]
+        for c in d.corrections:
+            self.corrections[c.survey, c.i, c.j] = Correction(c.nodes)
+        for m in d.masks:
             self.masks[m.survey, m.level, m.i, m.j] = unpack_cells(m.level, m.cells) if m.cells else None
 
     def take_query(self, replies):
@@ -381,7 +479,7 @@ class Terrain:
                 self.ground = header.ground
                 self.surveys = {f.survey: f for f in header.surveys}
             elif kind == "part":
-                self.take_blocks(reply.part.masks)
+                self.take_blocks(reply.part)
                 self.patches.update({p.id: p for p in reply.part.patches})
             else:
                 end = reply.end
@@ -416,7 +514,9 @@ class View:
         t.patches.update({p.handle: p for p in d.added})
         for c in d.changed:
             t.patches[c.handle].top_m, t.patches[c.handle].floor = c.top_m, c.floor
-        t.take_blocks(d.masks, d.masks_removed)
+            if c.HasField("survey"):
+                t.patches[c.handle].survey = c.survey
+        t.take_blocks(d)
         if d.more:
             return False
         if d.patches != len(t.patches) or d.hash != set_hash(t.patches.values(), d.hash):
@@ -443,6 +543,7 @@ def main():
     parser.add_argument("--token", default=os.environ.get("TERRAQUILT_TOKEN"), help="bearer token [default: $TERRAQUILT_TOKEN]")
     parser.add_argument("--points", type=int, default=2000, help="random points for each tolerance")
     parser.add_argument("--box", help="xmin,ymin,xmax,ymax [default: all there is]")
+    parser.add_argument("--seams", choices=["off", "all", "consistent"], help="of the surface [default: all three]")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
 
@@ -498,18 +599,20 @@ def run(args, modules):
     wanted.append(("raster", tolerance(raster=raster)))
 
     bad = 0
-    print("way    tolerance     version  patches  bytes/patch  points  without data  largest difference, m")
+    print("way    seams      tolerance     version  patches  bytes/patch  blocks  bytes/block  points  without data  bent  largest difference, m")
 
-    def compare(way, name, terrain, tol, version):
+    def compare(way, seams, name, terrain, tol, version):
         nonlocal bad
         points = np.column_stack([random.uniform(box[0], box[2], args.points), random.uniform(box[1], box[3], args.points)])
         if tol.HasField("camera"):
             points = in_sight(tol.camera, terrain.ground, points)
         theirs = np.full(len(points), np.nan)
-        header = heights_pb.HeightsHeader(tolerance=tol, at=version)
+        bent = 0
+        header = heights_pb.HeightsHeader(tolerance=tol, at=version, seams=seams)
         request = heights_pb.PointsRequest(header=header, points=points.astype("<f8").tobytes())
         for reply in heights.Ask(request, metadata=metadata):
             theirs[reply.first : reply.first + reply.count] = np.frombuffer(reply.z, "<f8")
+            bent += np.count_nonzero(np.nan_to_num(np.frombuffer(reply.correction_m, "<f8")))
             assert reply.version == version
         ours = terrain.heights(points, tol)
         both = ~np.isnan(ours) & ~np.isnan(theirs)
@@ -520,24 +623,31 @@ def run(args, modules):
         verdict = "" if worst <= 1e-6 and alone == 0 else f"  FAILED ({alone} on one side only)"
         bad += bool(verdict)
         none = int(np.isnan(theirs).sum())
-        print(f"{way:6} {name:12} {version:8} {len(payload):8} {mean:12.0f} {len(points):7} {none:13}  {worst:.3g}{verdict}")
+        blocks = [c.bytes for c in terrain.corrections.values()]
+        block = np.mean(blocks) if blocks else 0.0
+        print(
+            f"{way:6} {seams[6:].lower():10} {name:12} {version:8} {len(payload):8} {mean:12.0f} {len(blocks):7} {block:12.0f}"
+            f" {len(points):7} {none:13} {bent:5}  {worst:.3g}{verdict}"
+        )
 
-    for name, tol in wanted:
-        terrain = Terrain()
-        request = query_pb.PatchesRequest(region=region, tolerance=tol)
-        head, _ = terrain.take_query(queries.Patches(request, metadata=metadata))
-        compare("query", name, terrain, head.tolerance, head.ground.version)
-    follow(args, views, view_pb, region, wanted, metadata, compare)
+    for seams in [args.seams] if args.seams else ["off", "all", "consistent"]:
+        seams = f"SEAMS_{seams.upper()}"
+        for name, tol in wanted:
+            terrain = Terrain()
+            request = query_pb.PatchesRequest(region=region, tolerance=tol, seams=seams)
+            head, _ = terrain.take_query(queries.Patches(request, metadata=metadata))
+            compare("query", seams, name, terrain, head.tolerance, head.ground.version)
+        follow(seams, views, view_pb, region, wanted, metadata, compare)
     return 1 if bad else 0
 
 
-def follow(args, views, view_pb, region, wanted, metadata, compare):
+def follow(seams, views, view_pb, region, wanted, metadata, compare):
     """One view steered through all tolerances; compares after each."""
     import queue
 
     questions = queue.Queue()
     first = view_pb.Question(number=1, region=region, tolerance=wanted[0][1])
-    questions.put(view_pb.ViewRequest(open=view_pb.OpenView(question=first)))
+    questions.put(view_pb.ViewRequest(open=view_pb.OpenView(question=first, seams=seams)))
     terrain = Terrain()
     view = View(terrain)
     stream = views.Hold(iter(questions.get, None), metadata=metadata)
@@ -548,7 +658,7 @@ def follow(args, views, view_pb, region, wanted, metadata, compare):
         for d in stream:
             if view.apply(d) and d.answers == number:
                 break
-        compare("view", name, terrain, tol, d.version)
+        compare("view", seams, name, terrain, tol, d.version)
     questions.put(None)
 
 

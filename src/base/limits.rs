@@ -21,6 +21,8 @@ pub const ARCHIVE_MEMBER_BYTES_MAX: u64 = 512 << 20;
 pub const GEOID_POSTS_MAX: u64 = 250_000_000;
 /// Metres above or below the datum that a height may be.
 pub const HEIGHT_M_MAX: f64 = 1e6;
+/// Places along borders whose corrections one answer may carry: some KiB each, and a derivation of its field the first time.
+pub const CORRECTIONS_MAX: u64 = 4096;
 /// Bytes of a text field (name, CRS) in a declaration.
 pub const TEXT_BYTES_MAX: usize = 4096;
 /// Posts (cells) of one exported raster.

@@ -5,4 +5,5 @@
 
 mod bits;
 pub mod cells;
+pub mod corrections;
 pub mod vertices;

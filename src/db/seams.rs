@@ -154,6 +154,11 @@ impl Fields<'_> {
         found
     }
 
+    /// Rows of places around one that have a say in its field. Splines reach half a cell further, into one more row.
+    pub(super) fn rows(&self) -> i32 {
+        if self.smooth { 2 } else { 1 }
+    }
+
     /// The correction of a survey over a level-0 place.
     pub fn field(&self, survey: SurveyNumber, i: i32, j: i32) -> Result<Arc<Field>> {
         let key = ((survey, i, j), self.consistent);
@@ -166,8 +171,7 @@ impl Fields<'_> {
         if !rect.grow(1).overlaps(&g.core) {
             return Ok(Arc::default());
         }
-        // Splines reach half a cell further, into one more row of places.
-        let rows = if self.smooth { 2 } else { 1 };
+        let rows = self.rows();
         let above = self.above(survey, &rect.grow(i64::from(rows) * KERNEL));
         if above.is_empty() {
             return Ok(Arc::default());

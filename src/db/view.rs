@@ -1,6 +1,7 @@
 //! A version as tables: pages read on demand, cached; and what the rules of LOD space see of it.
 
 use super::caches::{Caches, Known};
+use super::corrections::Corrections;
 use super::head::Head;
 use super::masks::Masks;
 use super::reader::SampleReader;
@@ -119,6 +120,8 @@ pub struct View {
     pub seams: SeamCache,
     /// Blocks of masks.
     pub masks: Masks,
+    /// Blocks of corrections.
+    pub corrections: Corrections,
 }
 
 impl View {
@@ -141,6 +144,7 @@ impl View {
             caches,
             seams: SeamCache::new(),
             masks: Masks::new(),
+            corrections: Corrections::new(),
             tree: root.tree,
             files,
             entries,

@@ -3,14 +3,15 @@
 use super::model;
 use crate::base::{Error, Result};
 use crate::db::query::{self, Query, Selection};
-use crate::db::{MaskPart, Snapshot};
+use crate::db::{CorrectionPart, MaskPart, Snapshot};
 use crate::height::lod::SurveyNumber;
-use crate::height::surface::{How, Seams};
+use crate::height::surface::How;
 use crate::store::quadtree::Record;
 use crate::wire::{MESSAGE_BYTES, v1};
 use prost::Message;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet, VecDeque};
+use std::hash::Hash;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -45,7 +46,7 @@ pub struct Asked {
 
 impl Asked {
     /// # Errors
-    /// If the region, the tolerance or the manner is none, or patches are wanted with corrected seams.
+    /// If the region, the tolerance or the manner is none.
     pub fn new(
         region: Option<&v1::Region>,
         tolerance: Option<&v1::Tolerance>,
@@ -53,16 +54,6 @@ impl Asked {
         descriptors_only: bool,
         explain: bool,
     ) -> Result<Asked> {
-        if how.seams != Seams::Off && !descriptors_only {
-            return Err(Error::unsupported(
-                "seams",
-                format!(
-                    "'{}' needs corrections, and this server does not send them with patches",
-                    how.seams.name()
-                ),
-                "ask for patches with seams off, for descriptors only, or ask Heights or Export for the corrected surface",
-            ));
-        }
         let query = model::query(region, tolerance, how)?;
         let tolerance = tolerance.cloned().unwrap_or_default();
         Ok(Asked { query, tolerance, descriptors_only, explain })
@@ -75,8 +66,10 @@ pub struct Parts {
     pub header: v1::PatchesHeader,
     pub end: v1::PatchesEnd,
     masks_removed: VecDeque<v1::MaskBlock>,
+    corrections_removed: VecDeque<v1::CorrectionBlock>,
     removed: VecDeque<u8>,
     masks: VecDeque<v1::MaskBlock>,
+    corrections: VecDeque<v1::CorrectionBlock>,
     changed: VecDeque<Record>,
     /// Coarse first.
     added: VecDeque<Record>,
@@ -105,10 +98,11 @@ pub fn patches(snapshot: Arc<Snapshot>, asked: &Asked, budget: &Budget) -> Resul
     let started = Instant::now();
     let (factor, query, selection) = within(&snapshot, asked, budget)?;
     let select_ms = milliseconds(started);
-    let masks = if asked.descriptors_only { Vec::new() } else { snapshot.masks(&selection.region)? };
+    let (masks, corrections) = blocks(&snapshot, asked, &selection)?;
     let mut parts = Parts::new(snapshot, asked, &query, factor, &selection)?;
     parts.header.patches = selection.records.len() as u64;
     parts.masks = masks.iter().map(model::mask).collect();
+    parts.corrections = corrections.iter().map(model::correction).collect();
     if asked.explain {
         parts.end.explanation = Some(explanation(&parts.snapshot, &selection, select_ms)?);
     }
@@ -134,24 +128,42 @@ pub fn difference(
     };
     let d = query::difference(before.as_ref().map_or(&[], |(s, _)| &s.records), &selection.records);
     let mut parts = Parts::new(to, asked, &query, 1.0, &selection)?;
-    if !asked.descriptors_only {
-        let old: Vec<MaskPart> = before.as_ref().map_or(Ok(Vec::new()), |(s, v)| v.masks(&s.region))?;
-        let new = parts.snapshot.masks(&selection.region)?;
-        let keys: HashSet<_> = new.iter().map(MaskPart::key).collect();
-        let same: HashSet<&MaskPart> = old.iter().collect();
-        parts.masks = new.iter().filter(|m| !same.contains(m)).map(model::mask).collect();
-        parts.masks_removed = old
-            .iter()
-            .filter(|m| !keys.contains(&m.key()))
-            .map(|m| v1::MaskBlock { cells: Default::default(), ..model::mask(m) })
-            .collect();
-    }
+    let old = before.as_ref().map_or(Ok(Default::default()), |(s, v)| blocks(v, asked, s))?;
+    let new = blocks(&parts.snapshot, asked, &selection)?;
+    let (come, gone) = changes(&old.0, &new.0, MaskPart::key);
+    parts.masks = come.into_iter().map(model::mask).collect();
+    let bare = |m| v1::MaskBlock { cells: Default::default(), ..model::mask(m) };
+    parts.masks_removed = gone.into_iter().map(bare).collect();
+    let (come, gone) = changes(&old.1, &new.1, CorrectionPart::key);
+    parts.corrections = come.into_iter().map(model::correction).collect();
+    let bare = |c| v1::CorrectionBlock { nodes: Default::default(), ..model::correction(c) };
+    parts.corrections_removed = gone.into_iter().map(bare).collect();
     parts.header.from = from.map_or(0, |f| f.number());
     parts.header.patches = d.added.len() as u64;
     parts.removed = d.removed.iter().flat_map(|r| r.id.0).collect();
     parts.changed = d.changed.into();
     parts.added = coarse_first(&parts.snapshot, d.added)?;
     Ok(parts)
+}
+
+/// Masks and corrections of an answer.
+fn blocks(s: &Snapshot, asked: &Asked, found: &Selection) -> Result<(Vec<MaskPart>, Vec<CorrectionPart>)> {
+    if asked.descriptors_only {
+        return Ok(Default::default());
+    }
+    Ok((s.masks(&found.region)?, s.corrections(found, asked.query.how)?))
+}
+
+/// Blocks that are new or others than before, and old ones whose key is gone.
+fn changes<'a, B: Eq + Hash, K: Eq + Hash>(
+    old: &'a [B],
+    new: &'a [B],
+    key: impl Fn(&B) -> K,
+) -> (Vec<&'a B>, Vec<&'a B>) {
+    let keys: HashSet<K> = new.iter().map(&key).collect();
+    let same: HashSet<&B> = old.iter().collect();
+    let come = new.iter().filter(|b| !same.contains(b)).collect();
+    (come, old.iter().filter(|b| !keys.contains(&key(b))).collect())
 }
 
 /// The least factor, as a power of 2^(1/[`STEPS`]), with which the answer fits and with the next smaller one does not.
@@ -218,9 +230,9 @@ fn above(s: &Snapshot, asked: &Asked, query: &Query, found: &Selection, most: u6
         sum += explanation(s, found, 0.0)?.encoded_len() as u64 + 4 * AROUND;
     }
     let field = |n: usize| n as u64 + AROUND;
-    if !asked.descriptors_only {
-        sum += s.masks(&found.region)?.iter().map(|m| field(model::mask(m).encoded_len())).sum::<u64>();
-    }
+    let (masks, corrections) = blocks(s, asked, found)?;
+    sum += masks.iter().map(|m| field(model::mask(m).encoded_len())).sum::<u64>();
+    sum += corrections.iter().map(|c| field(model::correction(c).encoded_len())).sum::<u64>();
     for records in found.records.chunks(PATCHES_WEIGHED) {
         if sum > most {
             return Ok(Some(sum));
@@ -304,8 +316,10 @@ impl Parts {
             },
             snapshot,
             masks_removed: VecDeque::new(),
+            corrections_removed: VecDeque::new(),
             removed: VecDeque::new(),
             masks: VecDeque::new(),
+            corrections: VecDeque::new(),
             changed: VecDeque::new(),
             added: VecDeque::new(),
             payload: !asked.descriptors_only,
@@ -319,10 +333,12 @@ impl Parts {
         let mut part = v1::PatchesPart::default();
         let mut room = MESSAGE_BYTES;
         fill(&mut self.masks_removed, &mut part.masks_removed, &mut room);
+        fill(&mut self.corrections_removed, &mut part.corrections_removed, &mut room);
         let ids = self.removed.len().min(room / 16 * 16);
         part.removed = self.removed.drain(..ids).collect();
         room -= ids;
         fill(&mut self.masks, &mut part.masks, &mut room);
+        fill(&mut self.corrections, &mut part.corrections, &mut room);
         while room > 0
             && let Some(r) = self.changed.pop_front()
         {

@@ -55,5 +55,8 @@ mod queries;
 /// Vertices and masks as they travel.
 mod payload;
 
+/// Corrections of seams as they travel.
+mod bent;
+
 /// Views: sets that stay in step.
 mod views;

@@ -244,10 +244,6 @@ async fn questions_that_are_none_are_refused_and_empty_ones_answered() {
         assert_eq!(s.code(), Code::InvalidArgument, "{request:?}: {s}");
         assert!(s.message().len() > 20, "{s}");
     }
-    let bent = v1::PatchesRequest { seams: v1::Seams::All as i32, ..asked(1.0) };
-    let refused = client.query().patches(bent.clone()).await.unwrap_err();
-    assert_eq!(refused.code(), Code::FailedPrecondition, "{refused}");
-    assert!(client.patches(v1::PatchesRequest { descriptors_only: true, ..bent }).await.is_ok());
     let gone = client.query().patches(v1::PatchesRequest { at: 99, ..asked(1.0) }).await.unwrap_err();
     assert_eq!(gone.code(), Code::NotFound, "{gone}");
     server.stop().await.unwrap();

@@ -29,9 +29,6 @@ pub struct Grid {
     pub rest: [i64; COUNT],
 }
 
-/// The six neighbours of a vertex that come before it: W, N, NW, NE, WW, NN.
-struct Around([usize; 6]);
-
 impl Grid {
     pub fn new() -> Grid {
         Grid { q: [0; COUNT], class: [Class::Whole; COUNT], rest: [0; COUNT] }
@@ -46,20 +43,21 @@ pub fn unzigzag(v: u64) -> i64 {
     (v >> 1) as i64 ^ -((v & 1) as i64)
 }
 
-/// The neighbours of vertex (a, b). What lies outside is stood for by the neighbour beside it; `None` at the first vertex.
+/// The six neighbours of vertex (a, b) that come before it in rows of `side`: W, N, NW, NE, WW, NN. What lies outside is
+/// stood for by the neighbour beside it; `None` at the first vertex.
 #[inline]
-fn around(a: usize, b: usize) -> Option<Around> {
-    let k = b * SIDE + a;
+pub fn around(a: usize, b: usize, side: usize) -> Option<[usize; 6]> {
+    let k = b * side + a;
     match (a, b) {
         (0, 0) => None,
-        (_, 0) => Some(Around([k - 1; 6])),
-        (0, _) => Some(Around([k - SIDE; 6])),
+        (_, 0) => Some([k - 1; 6]),
+        (0, _) => Some([k - side; 6]),
         _ => {
-            let (w, n) = (k - 1, k - SIDE);
-            let ne = if a + 1 < SIDE { n + 1 } else { n };
+            let (w, n) = (k - 1, k - side);
+            let ne = if a + 1 < side { n + 1 } else { n };
             let ww = if a > 1 { k - 2 } else { w };
-            let nn = if b > 1 { n - SIDE } else { n };
-            Some(Around([w, n, n - 1, ne, ww, nn]))
+            let nn = if b > 1 { n - side } else { n };
+            Some([w, n, n - 1, ne, ww, nn])
         }
     }
 }
@@ -67,7 +65,7 @@ fn around(a: usize, b: usize) -> Option<Around> {
 /// Number, rest of the code and parameter of a vertex, from those before it.
 #[inline]
 fn expected(q: &[i64; COUNT], m: &[u64; COUNT], k: usize, first: i64, c: &Coefficients) -> (i64, u64) {
-    let Some(Around([w, n, nw, ne, ww, nn])) = around(k % SIDE, k / SIDE) else { return (first, 0) };
+    let Some([w, n, nw, ne, ww, nn]) = around(k % SIDE, k / SIDE, SIDE) else { return (first, 0) };
     let up = q[n];
     let sum = c[0] * (q[w] - up)
         + c[1] * (q[nw] - up)
@@ -82,6 +80,34 @@ fn expected(q: &[i64; COUNT], m: &[u64; COUNT], k: usize, first: i64, c: &Coeffi
 #[inline]
 fn parameter(s: u64) -> u32 {
     63 - ((3 * s / 32) + 1).leading_zeros()
+}
+
+/// Writes what was left, after eight times the size of what was left around.
+#[inline]
+pub fn put_number(w: &mut BitWriter, left: u64, s: u64) {
+    let n = parameter(s);
+    let ones = left >> n;
+    if ones < u64::from(ESCAPE) {
+        w.put_ones(ones as u32);
+        w.put(left, n);
+    } else {
+        w.put((1 << ESCAPE) - 1, ESCAPE);
+        w.put(left, ESCAPE_BITS);
+    }
+}
+
+/// Reads what [`put_number`] wrote.
+#[inline]
+pub fn take_number(r: &mut BitReader, s: u64) -> Result<u64> {
+    let n = parameter(s);
+    let ones = r.take_ones(ESCAPE)?;
+    if ones == ESCAPE {
+        return r.take(ESCAPE_BITS);
+    }
+    if n > ESCAPE_BITS {
+        return Err(Error::corrupt("payload", "bits", format!("a parameter of {n} bits")));
+    }
+    Ok(u64::from(ones) << n | r.take(n)?)
 }
 
 /// Coefficients, classes and numbers after `head`. Numbers of vertices that hold nothing become what is expected there.
@@ -111,15 +137,7 @@ pub fn encode(head: Vec<u8>, grid: &mut Grid, first: i64, c: &Coefficients, clas
         }
         let left = zigzag(grid.q[k] - p);
         m[k] = left;
-        let n = parameter(s);
-        let ones = left >> n;
-        if ones < u64::from(ESCAPE) {
-            w.put_ones(ones as u32);
-            w.put(left, n);
-        } else {
-            w.put((1 << ESCAPE) - 1, ESCAPE);
-            w.put(left, ESCAPE_BITS);
-        }
+        put_number(&mut w, left, s);
         if grid.class[k] == Class::Between {
             w.put(zigzag(grid.rest[k]), width);
         }
@@ -162,16 +180,7 @@ pub fn decode(bytes: &[u8], first: i64, c: &Coefficients, classes: bool) -> Resu
             m[k] = s / 8;
             continue;
         }
-        let n = parameter(s);
-        let ones = r.take_ones(ESCAPE)?;
-        let left = if ones < ESCAPE {
-            if n > ESCAPE_BITS {
-                return Err(bad(k, format!("a parameter of {n} bits")));
-            }
-            u64::from(ones) << n | r.take(n)?
-        } else {
-            r.take(ESCAPE_BITS)?
-        };
+        let left = take_number(&mut r, s)?;
         m[k] = left;
         let q = p + unzigzag(left);
         if q.abs() > WHOLE_MAX {

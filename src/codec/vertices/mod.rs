@@ -5,7 +5,7 @@
 //! (after LOCO-I, Weinberger, Seroussi and Sapiro 2000). Vertices between two steps carry the rest; those that hold
 //! nothing (height 0 beside the data) cost a bit or less.
 
-mod code;
+pub(super) mod code;
 mod step;
 
 use crate::base::bytes::{Put, Reader};
@@ -34,7 +34,7 @@ pub const ERROR_M: f64 = step::FINEST / 2.0;
 /// What a vertex is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-enum Class {
+pub(super) enum Class {
     /// A whole number of steps.
     Whole = 0,
     /// Between two steps: the rest follows, in [`step::FINEST`].

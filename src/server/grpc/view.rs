@@ -48,14 +48,6 @@ async fn question(state: &State, q: v1::Question, manner: Manner) -> Answer<Ques
 /// In which manner a view is opened.
 fn manner(open: &v1::OpenView) -> Result<Manner> {
     let how = model::how(open.blend, open.seams, Seams::Off)?;
-    if how.seams != Seams::Off && !open.descriptors_only {
-        let what = format!(
-            "'{}' needs corrections, and this server does not send them with patches",
-            how.seams.name()
-        );
-        let remedy = "open the view with seams off, or for descriptors only; Heights and Export give the corrected surface";
-        return Err(Error::unsupported("seams", what, remedy));
-    }
     Ok(Manner { how, descriptors_only: open.descriptors_only })
 }
 

@@ -2,7 +2,7 @@
 
 use crate::base::Result;
 use crate::db::query::{self, Selection};
-use crate::db::{MaskPart, Snapshot};
+use crate::db::{CorrectionPart, MaskPart, Snapshot};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::SurveyNumber;
 use crate::height::patch::Kind;
@@ -82,4 +82,9 @@ pub fn patch(r: &Record, handle: u32, payload: Bytes) -> v1::Patch {
 /// A block of a mask.
 pub fn mask(m: &MaskPart) -> v1::MaskBlock {
     v1::MaskBlock { survey: m.survey.0, level: u32::from(m.level), i: m.i, j: m.j, cells: m.cells.clone() }
+}
+
+/// The correction of a place.
+pub fn correction(c: &CorrectionPart) -> v1::CorrectionBlock {
+    v1::CorrectionBlock { survey: c.survey.0, i: c.i, j: c.j, nodes: c.nodes.clone() }
 }

@@ -29,10 +29,12 @@ pub struct Difference {
     pub changed: Vec<(Member, bool)>,
     pub masks: Vec<Block>,
     pub masks_removed: Vec<BlockKey>,
+    pub corrections: Vec<Block>,
+    pub corrections_removed: Vec<BlockKey>,
 }
 
 impl Difference {
-    /// Whether patches, masks and surveys are the same. Fixed facts may be others.
+    /// Whether patches, masks, corrections and surveys are the same. Fixed facts may be others.
     pub fn is_empty(&self) -> bool {
         self.removed.is_empty()
             && self.added.is_empty()
@@ -41,6 +43,8 @@ impl Difference {
             && self.surveys_removed.is_empty()
             && self.masks.is_empty()
             && self.masks_removed.is_empty()
+            && self.corrections.is_empty()
+            && self.corrections_removed.is_empty()
     }
 }
 
@@ -142,6 +146,8 @@ pub fn lead(from: &Set, to: Target, handle: &mut u32) -> (Set, Difference) {
     };
     let (masks, come, gone) = blocks(&from.masks, to.masks);
     (d.masks, d.masks_removed) = (come, gone);
+    let (corrections, come, gone) = blocks(&from.corrections, to.corrections);
+    (d.corrections, d.corrections_removed) = (come, gone);
     let known = from.ground.as_ref().is_some_and(|g| Arc::ptr_eq(g, &to.ground) || same_facts(g, &to.ground));
     let heights = |g: &v1::Ground| (g.z_min, g.z_max);
     d.other_heights = from.ground.as_ref().is_none_or(|g| heights(g) != heights(&to.ground));
@@ -153,6 +159,7 @@ pub fn lead(from: &Set, to: Target, handle: &mut u32) -> (Set, Difference) {
         hash: d.hash,
         surveys,
         masks,
+        corrections,
         ground: Some(to.ground),
     };
     (set, d)

@@ -124,6 +124,7 @@ mod tests {
             records: (from..to).map(record).collect(),
             surveys: Vec::new(),
             masks: Vec::new(),
+            corrections: Vec::new(),
             ground: Arc::default(),
             by_height: false,
         }

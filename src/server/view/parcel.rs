@@ -18,7 +18,7 @@ const PATCH_BYTES: usize = 64;
 const FRAME_BYTES: usize = 160;
 
 /// Lists of a difference.
-const LISTS: usize = 7;
+const LISTS: usize = 9;
 
 /// A difference that is being sent. Payloads are read from the version that it leads to.
 pub struct Parcel {
@@ -82,7 +82,7 @@ impl Parcel {
     /// Fills a message; true: it is full and something is left.
     fn fill(&mut self, m: &mut v1::ViewReply) -> Result<bool> {
         let (d, at, room) = (&self.d, &mut self.at, &mut { MESSAGE_BYTES });
-        let [gone, gone_s, gone_m, surveys, added, changed, masks] = at;
+        let [gone, gone_s, gone_m, gone_c, surveys, added, changed, masks, corrections] = at;
         let (snapshot, payload) = (&self.snapshot, self.payload);
         Ok(take(&d.removed, gone, room, |x| {
             m.removed.push(x.handle);
@@ -92,6 +92,9 @@ impl Parcel {
             Ok(HANDLE_BYTES)
         })? || take(&d.masks_removed, gone_m, room, |x| {
             m.masks_removed.push(mask(x, Bytes::new()));
+            Ok(BLOCK_BYTES)
+        })? || take(&d.corrections_removed, gone_c, room, |x| {
+            m.corrections_removed.push(correction(x, Bytes::new()));
             Ok(BLOCK_BYTES)
         })? || take(&d.surveys, surveys, room, |x| {
             m.surveys.push((**x).clone());
@@ -107,6 +110,9 @@ impl Parcel {
         })? || take(&d.masks, masks, room, |x| {
             m.masks.push(mask(&x.key, x.bytes.clone()));
             Ok(BLOCK_BYTES + x.bytes.len())
+        })? || take(&d.corrections, corrections, room, |x| {
+            m.corrections.push(correction(&x.key, x.bytes.clone()));
+            Ok(BLOCK_BYTES + x.bytes.len())
         })?)
     }
 }
@@ -119,6 +125,10 @@ fn patch(snapshot: &Snapshot, x: &Member, payload: bool) -> Result<v1::Patch> {
 fn change(x: &Member, moved: bool) -> v1::PatchChange {
     let r = &x.record;
     v1::PatchChange { handle: x.handle, top_m: r.top, floor: r.floor, survey: moved.then_some(r.survey.0) }
+}
+
+fn correction(k: &BlockKey, nodes: Bytes) -> v1::CorrectionBlock {
+    v1::CorrectionBlock { survey: k.survey, i: k.i, j: k.j, nodes }
 }
 
 fn mask(k: &BlockKey, cells: Bytes) -> v1::MaskBlock {

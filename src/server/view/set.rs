@@ -1,6 +1,6 @@
 //! What a client holds.
 
-use crate::db::MaskPart;
+use crate::db::{CorrectionPart, MaskPart};
 use crate::store::quadtree::Record;
 use crate::wire::v1;
 use bytes::Bytes;
@@ -13,7 +13,7 @@ pub struct Member {
     pub handle: u32,
 }
 
-/// Where a block of a mask lies.
+/// Where a block of a mask lies, or of a correction: then level 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct BlockKey {
     pub survey: u32,
@@ -22,7 +22,7 @@ pub struct BlockKey {
     pub j: i32,
 }
 
-/// A block of a mask.
+/// A block of a mask or a correction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
     pub key: BlockKey,
@@ -32,6 +32,12 @@ pub struct Block {
 impl From<MaskPart> for Block {
     fn from(m: MaskPart) -> Block {
         Block { key: BlockKey { survey: m.survey.0, level: m.level, i: m.i, j: m.j }, bytes: m.cells }
+    }
+}
+
+impl From<CorrectionPart> for Block {
+    fn from(c: CorrectionPart) -> Block {
+        Block { key: BlockKey { survey: c.survey.0, level: 0, i: c.i, j: c.j }, bytes: c.nodes }
     }
 }
 
@@ -49,6 +55,8 @@ pub struct Set {
     pub surveys: Arc<Vec<Arc<v1::SurveyFrame>>>,
     /// Ascending by key.
     pub masks: Arc<Vec<Block>>,
+    /// Ascending by key.
+    pub corrections: Arc<Vec<Block>>,
     /// As the client knows it, but for its version.
     pub ground: Option<Arc<v1::Ground>>,
 }
@@ -69,6 +77,7 @@ impl Set {
         let of = |shared: bool, n: usize| if shared { 0 } else { n };
         of(Arc::ptr_eq(&self.members, &other.members), self.members.len())
             + of(Arc::ptr_eq(&self.masks, &other.masks), self.masks.len())
+            + of(Arc::ptr_eq(&self.corrections, &other.corrections), self.corrections.len())
     }
 }
 

@@ -27,6 +27,8 @@ pub struct Target {
     /// Those of the patches and masks, ascending by number.
     pub surveys: Vec<Arc<v1::SurveyFrame>>,
     pub masks: Vec<Block>,
+    /// None with seams off.
+    pub corrections: Vec<Block>,
     pub ground: Arc<v1::Ground>,
     /// Whether the tolerance depends on how high the ground is.
     pub by_height: bool,
@@ -36,7 +38,7 @@ impl Target {
     /// The answer to a question. Frames and facts that the client holds of this version are shared with it.
     ///
     /// # Errors
-    /// As [`Snapshot::select`]; `Limit` if it has more than `patches_max` patches.
+    /// As [`Snapshot::select`] and [`Snapshot::corrections`]; `Limit` if it has more than `patches_max` patches.
     pub fn of(
         snapshot: &Snapshot,
         query: &Query,
@@ -50,8 +52,10 @@ impl Target {
             let what = "patches of a view (ask for a smaller region or a larger tolerance)";
             return Err(Error::limit(what, patches_max, n));
         }
-        let mut masks = Vec::new();
+        let (mut masks, mut corrections) = (Vec::new(), Vec::new());
         if !manner.descriptors_only {
+            let parts = snapshot.corrections(&selection, manner.how)?;
+            corrections = parts.into_iter().map(Block::from).collect();
             masks = snapshot.masks(&selection.region)?.into_iter().map(Block::from).collect();
         }
         let mut numbers: Vec<u32> = Vec::new();
@@ -78,6 +82,7 @@ impl Target {
             surveys: surveys.collect::<Result<_>>()?,
             records: selection.records,
             masks,
+            corrections,
             ground,
             by_height: matches!(query.tolerance, Tolerance::Camera(_)),
         })

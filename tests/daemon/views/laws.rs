@@ -288,6 +288,7 @@ fn invented(n: u32, from: u32) -> Target {
         records: (0..n).map(record).collect(),
         surveys: vec![Arc::new(v1::SurveyFrame { survey: 1, ..Default::default() })],
         masks: Vec::new(),
+        corrections: Vec::new(),
         ground: Arc::default(),
         by_height: false,
     }

@@ -1,5 +1,7 @@
 //! Views: what clients hold is what the database would answer, whatever moves, arrives, leaves or breaks.
 
+/// Corrections of seams in views.
+mod bent;
 /// The laws of differences over random steps, arrivals and removals, without a network.
 mod laws;
 /// Broken connections: coming back, taking over, sessions that are gone.

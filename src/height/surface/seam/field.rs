@@ -1,7 +1,7 @@
 //! The correction of one survey over one level-0 place.
 
 use super::spans::shown;
-use super::{BAND, NODES, Piece, REACH_MAX, Spans, ramp, square};
+use super::{BAND, NODES, Piece, REACH_MAX, STEP_LOG2, Spans, ramp, square};
 use crate::height::surface::Real;
 
 /// What a node is to the better surveys.
@@ -14,16 +14,16 @@ pub enum Spot {
 }
 
 /// The part of a field that comes from pieces with the same spans.
-#[derive(Clone, Debug)]
-struct Channel {
-    spans: Spans,
-    /// Corrections at the nodes, metres, row by row.
-    nodes: Vec<f32>,
-    contradicted: Vec<bool>,
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channel {
+    pub spans: Spans,
+    /// Corrections at the nodes, metres, row by row: whole numbers of steps of [`STEP_LOG2`].
+    pub nodes: Vec<f32>,
+    pub contradicted: Vec<bool>,
 }
 
 /// The correction of one survey over one level-0 place.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Field {
     channels: Vec<Channel>,
     /// Nodes beyond the place on each side: 1 where splines need them.
@@ -90,6 +90,7 @@ impl Field {
         let n = channels.len();
         let (mut carried, mut share, mut flagged) = (vec![0.0; n], vec![0.0; n], vec![false; n]);
         let r2_max = REACH_MAX * REACH_MAX;
+        let per_metre = f64::from(STEP_LOG2).exp2();
         for b in 0..side {
             for a in 0..side {
                 let half = [a as i64 - ring as i64, b as i64 - ring as i64];
@@ -132,7 +133,7 @@ impl Field {
                         v = (1.0 - near) * v + near * gap * (share[k] / shares);
                         contradicted |= claim && near > 0.0 && share[k] > 0.0;
                     }
-                    c.nodes[b * side + a] = v as f32;
+                    c.nodes[b * side + a] = ((v * per_metre).round() / per_metre) as f32;
                     c.contradicted[b * side + a] = contradicted;
                 }
             }
@@ -144,6 +145,23 @@ impl Field {
     /// Bytes it holds, for caches.
     pub fn weight(&self) -> u64 {
         64 + self.channels.iter().map(|c| 64 + 5 * c.nodes.len() as u64).sum::<u64>()
+    }
+
+    /// A field of these channels, each of 57 x 57 nodes, 59 x 59 with `smooth`.
+    pub fn of(channels: Vec<Channel>, smooth: bool) -> Field {
+        let ring = usize::from(smooth);
+        let n = (NODES + 2 * ring).pow(2);
+        assert!(channels.iter().all(|c| c.nodes.len() == n && c.contradicted.len() == n), "{n} nodes");
+        Field { channels, ring }
+    }
+
+    pub fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    /// Whether it is made of splines between its nodes.
+    pub fn is_smooth(&self) -> bool {
+        self.ring > 0
     }
 
     pub fn is_flat(&self) -> bool {

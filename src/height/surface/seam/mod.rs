@@ -20,7 +20,7 @@ mod sides;
 mod spans;
 
 pub use border::{Border, Gathering, Piece};
-pub use field::{Field, Near, Spot};
+pub use field::{Channel, Field, Near, Spot};
 pub use sides::{Side, outline};
 pub use spans::{Spans, spans, union};
 
@@ -40,6 +40,9 @@ const RAMP_SLOPE: f64 = 1.875;
 pub const BAND: [f64; 2] = [3.0, 4.0];
 /// Nodes along the side of a place: half a cell apart.
 pub const NODES: usize = 2 * KERNEL as usize + 1;
+
+/// Nodes are whole numbers of 2^-16 m, so that they travel in few bits; what they stand for is invented ground anyway.
+pub const STEP_LOG2: i32 = 16;
 
 /// The ramp g of class C2: 0 below 0, 1 above 1.
 fn ramp(t: f64) -> f64 {
