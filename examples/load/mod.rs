@@ -138,6 +138,12 @@ impl Survey {
         Ok(Survey { header: header("file", OLD, grid), rows })
     }
 
+    /// The same samples as a survey of another name.
+    pub fn named(&self, name: &str) -> Survey {
+        let header = header(name, &self.header.date, self.header.grids[0].clone());
+        Survey { header, rows: self.rows.clone() }
+    }
+
     pub async fn send(&self, c: &Connection) -> Result<v1::CommitReply> {
         let row_bytes = self.header.grids.iter().map(|g| g.row_bytes().unwrap_or(0) as usize).collect();
         let rows = InMemory { grids: vec![self.rows.clone()], row_bytes };
