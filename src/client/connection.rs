@@ -75,6 +75,11 @@ impl Connection {
                 format!("{e}; give host:port, or https://host:port where the server speaks TLS"),
             )
         };
+        let web = url == address.server;
+        let port = address.server.rsplit_once(':').is_some_and(|(_, p)| p.parse::<u16>().is_ok());
+        if !web && (!port || address.server.contains("://")) {
+            return Err(bad(&"names no host and port"));
+        }
         let mut endpoint = Endpoint::from_shared(url.clone())
             .map_err(|e| bad(&e))?
             .connect_timeout(CONNECT_WITHIN)
