@@ -80,6 +80,11 @@ impl Connection {
             // What was meant to be secret must not travel in the clear.
             return Err(bad(&"certificates are given, and http:// speaks no TLS"));
         }
+        let web = url == address.server;
+        let port = address.server.rsplit_once(':').is_some_and(|(_, p)| p.parse::<u16>().is_ok());
+        if !web && (!port || address.server.contains("://")) {
+            return Err(bad(&"names no host and port"));
+        }
         let mut endpoint = Endpoint::from_shared(url.clone())
             .map_err(|e| bad(&e))?
             .connect_timeout(CONNECT_WITHIN)

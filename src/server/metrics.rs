@@ -55,6 +55,8 @@ fn describe() {
     describe_counter!("terraquilt_commits_total", "Commits that were asked for here, by how they ended.");
     describe_gauge!("terraquilt_version", "The newest version of the database.");
     describe_gauge!("terraquilt_surveys", "Surveys in it.");
+    describe_gauge!("terraquilt_uploads_open", "Uploads in progress, or kept to be resumed.");
+    describe_gauge!("terraquilt_view_sessions", "Sessions of views, also those kept for clients that left.");
     describe_gauge!(
         "terraquilt_queue",
         "Answers, files and checks, and commits that wait for a thread, by pool."
