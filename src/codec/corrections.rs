@@ -196,12 +196,12 @@ mod tests {
     #[test]
     fn damaged_bytes_are_refused_or_are_another_field() {
         let bytes = pack(&field(true)).unwrap();
-        for n in (0..bytes.len()).step_by(7) {
+        for n in (0..bytes.len()).step_by(61) {
             assert!(unpack(&bytes[..n]).is_err(), "{n} bytes");
         }
         assert!(unpack(&[&bytes[..], &[0]].concat()).is_err());
         let mut refused = 0;
-        for k in (0..bytes.len() * 8).step_by(11) {
+        for k in (0..bytes.len() * 8).step_by(127) {
             let mut b = bytes.clone();
             b[k / 8] ^= 1 << (k % 8);
             match unpack(&b) {
