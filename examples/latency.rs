@@ -21,6 +21,7 @@ use terraquilt::base::{Error, Result};
 use terraquilt::client::view::{Opening, View};
 use terraquilt::client::{Connection, catalog, heights};
 use terraquilt::wire::v1;
+use tokio::sync::Barrier;
 use tokio::time::{MissedTickBehavior, interval_at};
 
 /// What is measured.
@@ -85,18 +86,25 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// One view that moves at [`RATE`] until told to stop. A step lasts from when it was due until its difference is applied; where
+/// One view that moves at [`RATE`] until told to stop, from when all are open. A step lasts from when it was due until its difference is applied; where
 /// one lasts longer than a frame, the frames that were due meanwhile are left out and counted.
 async fn fly(
     c: Connection,
     flight: Flight,
     k: usize,
+    opened: Arc<Barrier>,
     stop: Arc<AtomicBool>,
     late: Arc<AtomicU64>,
 ) -> Result<(Vec<f64>, usize)> {
     let opening = Opening { tolerance: Some(flight.at(0)), ..Opening::default() };
-    let mut view = View::open(&c, opening).await?;
-    view.next().await?;
+    let view = async {
+        let mut view = View::open(&c, opening).await?;
+        view.next().await.map(|_| view)
+    };
+    let view = view.await;
+    // The others wait for it also where it failed.
+    opened.wait().await;
+    let mut view = view?;
     let frame = Duration::from_secs_f64(1.0 / RATE);
     let begin = tokio::time::Instant::now() + frame.mul_f64(k as f64 * 0.618 % 1.0) + frame;
     let mut ticks = interval_at(begin, frame);
@@ -124,11 +132,14 @@ async fn steps<T>(
 ) -> Result<(Times, usize, u64, T)> {
     let here = ground(&server.connect().await?).await?;
     let (stop, late) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
+    let opened = Arc::new(Barrier::new(n + 1));
     let mut views = Vec::new();
     for k in 0..n {
         let flight = Flight::new(&here, k, 10.0);
-        views.push(tokio::spawn(fly(server.connect().await?, flight, k, stop.clone(), late.clone())));
+        let c = server.connect().await?;
+        views.push(tokio::spawn(fly(c, flight, k, opened.clone(), stop.clone(), late.clone())));
     }
+    opened.wait().await;
     let waited = until.await;
     stop.store(true, Ordering::Relaxed);
     let (mut times, mut patches) = (Vec::new(), 0);

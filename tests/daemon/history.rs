@@ -238,8 +238,15 @@ struct World {
     coarse: f64,
 }
 
-/// Between two questions of a client: so few answers that without optimisation they are checked in seconds.
-const PAUSE: Duration = Duration::from_millis(if cfg!(debug_assertions) { 200 } else { 10 });
+/// Between two questions of a client that has `answered` so many: without optimisation arrivals and the check afterwards are
+/// slow, and there must not be the more answers for it.
+fn pause(answered: usize) -> Duration {
+    if cfg!(debug_assertions) {
+        Duration::from_millis(200) * (1 + answered as u32 / 10)
+    } else {
+        Duration::from_millis(10)
+    }
+}
 
 /// A view that moves until told to stop.
 async fn look(c: Connection, world: Arc<World>, seed: u64, stop: Arc<AtomicBool>) -> Vec<Answered> {
@@ -271,7 +278,7 @@ async fn look(c: Connection, world: Arc<World>, seed: u64, stop: Arc<AtomicBool>
             if stop.load(Ordering::Relaxed) {
                 return out;
             }
-            tokio::time::sleep(PAUSE).await;
+            tokio::time::sleep(pause(out.len())).await;
             next = Asked::patches(&mut r, &world);
             due = view.steer(next.region(), next.tolerance()).await.unwrap();
         }
@@ -301,7 +308,7 @@ async fn ask(c: Connection, world: Arc<World>, seed: u64, stop: Arc<AtomicBool>)
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        tokio::time::sleep(PAUSE).await;
+        tokio::time::sleep(pause(out.len())).await;
     }
     out
 }
