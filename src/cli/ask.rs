@@ -128,7 +128,7 @@ pub struct Versions {
 
 impl Versions {
     pub fn run(self) -> Result<bool> {
-        let versions = Reader::open(&self.db, None)?.versions()?;
+        let versions = Reader::versions(&self.db)?;
         let mut out = Output::new();
         if self.json {
             out.json(&versions)?;

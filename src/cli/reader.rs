@@ -114,12 +114,14 @@ impl Reader {
         }
     }
 
-    pub fn versions(&self) -> Result<Vec<Commit>> {
-        let db = match self {
-            Reader::Disk(db, _) => db,
-            Reader::Server(r) => return r.versions(),
-        };
-        let all = db.versions()?.into_iter().map(|v| Commit {
+    /// Every commit of a database. Reads the catalog alone: also of a database whose pages are damaged.
+    pub fn versions(db: &Path) -> Result<Vec<Commit>> {
+        if server(db).is_some()
+            && let Reader::Server(r) = Reader::open(db, None)?
+        {
+            return r.versions();
+        }
+        let all = Db::open(db)?.versions()?.into_iter().map(|v| Commit {
             action: v.action,
             made_at: v.made_at,
             operation: v.operation,
