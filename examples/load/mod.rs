@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use terraquilt::base::{Error, Result};
-use terraquilt::client::ingest::{InMemory, Sending, upload};
+use terraquilt::client::ingest::{InMemory, Sending, grid_of, upload};
 use terraquilt::client::{Address, Connection};
 use terraquilt::db::{Db, Options, Policy};
 use terraquilt::format;
@@ -116,25 +116,9 @@ impl Survey {
     pub fn of_file(path: &Path) -> Result<Survey> {
         let mut source = format::open(path)?;
         let info = source.info().clone();
-        let a = info.affine.ok_or_else(|| Error::invalid(path.display(), "has no georeference"))?;
         let all = Window { col: 0, row: 0, cols: info.cols as usize, rows: info.rows as usize };
         let rows = source.read(all)?.data;
-        let grid = v1::Grid {
-            name: "grid".into(),
-            cols: info.cols,
-            rows: info.rows,
-            sample_type: info.sample_type as i32,
-            x: a.origin[0],
-            y: a.origin[1],
-            col_dx: a.col_step[0],
-            col_dy: a.col_step[1],
-            row_dx: a.row_step[0],
-            row_dy: a.row_step[1],
-            nodata: info.nodata,
-            scale: info.scale,
-            offset: info.offset,
-            ..v1::Grid::default()
-        };
+        let grid = grid_of(&info)?;
         Ok(Survey { header: header("file", OLD, grid), rows })
     }
 

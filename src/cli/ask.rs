@@ -156,6 +156,11 @@ fn utc(seconds: i64) -> String {
     format!("{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02}", rest / 3600, rest / 60 % 60, rest % 60)
 }
 
+/// The hash of a set of patches as JSON has it.
+fn set_of(records: &[Record]) -> String {
+    set_hash(records.iter()).iter().map(|b| format!("{b:02x}")).collect()
+}
+
 /// List the patches that a region needs within a tolerance
 #[derive(Args)]
 #[command(
@@ -200,7 +205,7 @@ impl Patches {
             let patches =
                 found.records.iter().map(|r| patch(s, &posts, r)).collect::<Result<Vec<Value>>>()?;
             out.json(&json!({
-                "version": found.version, "count": patches.len(), "set": set_hash(&found.records), "patches": patches,
+                "version": found.version, "count": patches.len(), "set": set_of(&found.records), "patches": patches,
                 "nodes_visited": found.nodes, "records_tested": found.tested,
             }))?;
             return out.end();
@@ -241,7 +246,7 @@ impl Patches {
             let removed: Vec<String> = d.removed.iter().map(|r| r.id.to_string()).collect();
             out.json(&json!({
                 "from": old.version, "to": new.version, "added": added, "removed": removed, "changed": changed,
-                "set": set_hash(&new.records),
+                "set": set_of(&new.records),
             }))?;
             return out.end();
         }

@@ -5,10 +5,9 @@ use super::output::{Meter, message, stop_flag};
 use crate::base::{Error, Result};
 use crate::client::{catalog, ingest};
 use crate::db::{Ingest, Outcome};
-use crate::height::source::{HeightSource, SampleType, SourceInfo, Window};
+use crate::height::source::{HeightSource, SourceInfo, Window};
 use crate::wire::v1;
 use crate::wire::v1::upload_header::Target;
-use std::path::Path;
 use std::sync::atomic::Ordering;
 
 /// What is said of an upload beside its request.
@@ -53,39 +52,10 @@ fn grids(request: &Ingest) -> Result<Vec<v1::Grid>> {
 }
 
 fn grid(info: &SourceInfo, request: &Ingest) -> Result<v1::Grid> {
-    let at = info.affine.ok_or_else(|| {
-        Error::invalid(&info.file, "has no georeference; say where it lies with gdal_translate -a_ullr")
-    })?;
     let metres = request.vertical_unit_m.or(info.vertical_unit_m).unwrap_or(1.0);
-    let name = Path::new(&info.file).file_name().map(|n| n.to_string_lossy().into_owned());
-    let sample_type = match info.sample_type {
-        SampleType::U8 => v1::SampleType::Uint8,
-        SampleType::I8 => v1::SampleType::Int8,
-        SampleType::U16 => v1::SampleType::Uint16,
-        SampleType::I16 => v1::SampleType::Int16,
-        SampleType::U32 => v1::SampleType::Uint32,
-        SampleType::I32 => v1::SampleType::Int32,
-        SampleType::F32 => v1::SampleType::Float32,
-        SampleType::F64 => v1::SampleType::Float64,
-    };
-    Ok(v1::Grid {
-        name: name.unwrap_or_else(|| info.file.clone()),
-        cols: info.cols,
-        rows: info.rows,
-        sample_type: sample_type as i32,
-        x: at.origin[0],
-        y: at.origin[1],
-        col_dx: at.col_step[0],
-        col_dy: at.col_step[1],
-        row_dx: at.row_step[0],
-        row_dy: at.row_step[1],
-        nodata: info.nodata,
-        scale: info.scale * metres,
-        offset: info.offset * metres,
-        hash: Default::default(),
-        // A file may have voids that no sample value marks.
-        masked: true,
-    })
+    let own = ingest::grid_of(info)?;
+    // A file may have voids that no sample value marks.
+    Ok(v1::Grid { scale: own.scale * metres, offset: own.offset * metres, masked: true, ..own })
 }
 
 /// What all files say alike, the first that says it and its file.

@@ -2,11 +2,13 @@
 
 use super::Connection;
 use crate::base::{Error, Result};
+use crate::height::source::{SampleType, SourceInfo};
 use crate::wire::{MESSAGE_BYTES, crc32, v1};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::error::Error as _;
 use std::io::Write;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -23,6 +25,43 @@ pub trait Rows: Send + 'static {
     fn batch(&self, _grid: usize) -> u64 {
         u64::MAX
     }
+}
+
+/// What a file says of itself, as a grid of an upload: its samples, whose voids their values mark, in its own units.
+///
+/// # Errors
+/// If the file has no georeference.
+pub fn grid_of(info: &SourceInfo) -> Result<v1::Grid> {
+    let at = info.affine.ok_or_else(|| {
+        Error::invalid(&info.file, "has no georeference; say where it lies with gdal_translate -a_ullr")
+    })?;
+    let name = Path::new(&info.file).file_name().map(|n| n.to_string_lossy().into_owned());
+    let sample_type = match info.sample_type {
+        SampleType::U8 => v1::SampleType::Uint8,
+        SampleType::I8 => v1::SampleType::Int8,
+        SampleType::U16 => v1::SampleType::Uint16,
+        SampleType::I16 => v1::SampleType::Int16,
+        SampleType::U32 => v1::SampleType::Uint32,
+        SampleType::I32 => v1::SampleType::Int32,
+        SampleType::F32 => v1::SampleType::Float32,
+        SampleType::F64 => v1::SampleType::Float64,
+    };
+    Ok(v1::Grid {
+        name: name.unwrap_or_else(|| info.file.clone()),
+        cols: info.cols,
+        rows: info.rows,
+        sample_type: sample_type as i32,
+        x: at.origin[0],
+        y: at.origin[1],
+        col_dx: at.col_step[0],
+        col_dy: at.col_step[1],
+        row_dx: at.row_step[0],
+        row_dy: at.row_step[1],
+        nodata: info.nodata,
+        scale: info.scale,
+        offset: info.offset,
+        ..Default::default()
+    })
 }
 
 /// Grids that lie in memory: all rows of each, one behind the other.

@@ -1,7 +1,7 @@
 //! The surveys that come with the program (USGS Open-File Report 2008-1169, public domain), as they are sent to a server.
 
 use crate::base::{Error, Result};
-use crate::client::ingest::InMemory;
+use crate::client::ingest::{InMemory, grid_of};
 use crate::format;
 use crate::height::source::Window;
 use crate::wire::v1;
@@ -47,25 +47,9 @@ impl Bundled {
     pub fn upload(&self) -> Result<(v1::UploadHeader, InMemory)> {
         let mut source = format::open_bytes(self.file, self.bytes.to_vec())?;
         let info = source.info().clone();
-        let affine = info.affine.ok_or_else(|| Error::invalid(self.file, "has no georeference"))?;
         let (cols, rows) = (info.cols as usize, info.rows as usize);
         let samples = source.read(Window { col: 0, row: 0, cols, rows })?;
-        let grid = v1::Grid {
-            name: self.file.into(),
-            cols: info.cols,
-            rows: info.rows,
-            sample_type: info.sample_type as i32,
-            x: affine.origin[0],
-            y: affine.origin[1],
-            col_dx: affine.col_step[0],
-            col_dy: affine.col_step[1],
-            row_dx: affine.row_step[0],
-            row_dy: affine.row_step[1],
-            nodata: info.nodata,
-            scale: info.scale,
-            offset: info.offset,
-            ..Default::default()
-        };
+        let grid = grid_of(&info)?;
         let header = v1::UploadHeader {
             operation: format!("demo-{}", self.name),
             name: self.name.into(),

@@ -8,6 +8,7 @@ use crate::height::lod::SurveyNumber;
 use crate::height::surface::How;
 use crate::store::quadtree::Record;
 use crate::wire::{MESSAGE_BYTES, v1};
+use bytes::Bytes;
 use prost::Message;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet, VecDeque};
@@ -311,7 +312,7 @@ impl Parts {
             header: header(&snapshot, asked, query, factor, found)?,
             end: v1::PatchesEnd {
                 patches: found.records.len() as u64,
-                hash: model::set_hash(&found.records),
+                hash: Bytes::copy_from_slice(&query::set_hash(found.records.iter())),
                 explanation: None,
             },
             snapshot,

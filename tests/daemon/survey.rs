@@ -65,27 +65,9 @@ impl Survey {
 /// One file as one grid.
 pub fn grid_of(source: &mut dyn HeightSource) -> (v1::Grid, Vec<u8>) {
     let info = source.info().clone();
-    let a = info.affine.unwrap();
     let all = Window { col: 0, row: 0, cols: info.cols as usize, rows: info.rows as usize };
     let samples = source.read(all).unwrap();
-    let grid = v1::Grid {
-        name: Path::new(&info.file).file_name().unwrap().to_str().unwrap().into(),
-        cols: info.cols,
-        rows: info.rows,
-        sample_type: info.sample_type as i32,
-        x: a.origin[0],
-        y: a.origin[1],
-        col_dx: a.col_step[0],
-        col_dy: a.col_step[1],
-        row_dx: a.row_step[0],
-        row_dy: a.row_step[1],
-        nodata: info.nodata,
-        scale: info.scale,
-        offset: info.offset,
-        hash: Default::default(),
-        masked: false,
-    };
-    (grid, samples.data)
+    (terraquilt::client::ingest::grid_of(&info).unwrap(), samples.data)
 }
 
 /// A bundled survey, with its hash.

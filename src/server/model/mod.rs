@@ -12,5 +12,5 @@ pub mod upload;
 pub use catalog::{json, survey, tile};
 pub use looser::looser;
 pub use page::Page;
-pub use parts::{correction, frames, ground, mask, patch, set_hash, survey_frame};
+pub use parts::{correction, frames, ground, mask, patch, survey_frame};
 pub use question::{area, how, manner, pairs, query, tolerance};

@@ -1,7 +1,7 @@
 //! What the ground is made of, as messages: the other direction.
 
 use crate::base::Result;
-use crate::db::query::{self, Selection};
+use crate::db::query::Selection;
 use crate::db::{CorrectionPart, MaskPart, Snapshot};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::SurveyNumber;
@@ -55,12 +55,6 @@ pub fn survey_frame(s: &Snapshot, number: SurveyNumber) -> Result<v1::SurveyFram
 /// The surveys that a selection needs.
 pub fn frames(s: &Snapshot, selection: &Selection) -> Result<Vec<v1::SurveyFrame>> {
     s.surveys_of(selection).into_iter().map(|n| survey_frame(s, n)).collect()
-}
-
-/// The hash by which a client knows that it holds the same patches.
-pub fn set_hash(records: &[Record]) -> Bytes {
-    let hex = query::set_hash(records);
-    (0..hex.len() / 2).map(|k| u8::from_str_radix(&hex[2 * k..2 * k + 2], 16).unwrap_or(0)).collect()
 }
 
 /// A patch; `handle` 0 and an empty payload where the answer has none.

@@ -1,5 +1,6 @@
 //! What a client holds.
 
+use crate::db::query::set_hash;
 use crate::db::{CorrectionPart, MaskPart};
 use crate::store::quadtree::Record;
 use crate::wire::v1;
@@ -83,9 +84,5 @@ impl Set {
 
 /// The hash of a set whose members are ascending by id.
 pub fn hash(members: &[Member]) -> [u8; 16] {
-    let mut ids = Vec::with_capacity(members.len() * 16);
-    members.iter().for_each(|m| ids.extend_from_slice(&m.record.id.0));
-    let mut out = [0; 16];
-    out.copy_from_slice(&blake3::hash(&ids).as_bytes()[..16]);
-    out
+    set_hash(members.iter().map(|m| &m.record))
 }
