@@ -2,11 +2,12 @@
 
 use super::database::Snapshot;
 use super::head::{Declaration, Tile};
+use super::tile::Directory;
 use crate::base::{Error, Result, limits};
-use crate::height::block::{BLOCK, decode};
+use crate::height::block::{BLOCK, RawBlock, decode};
 use crate::height::frame::CellRect;
 use crate::height::lod::SurveyNumber;
-use crate::store::segment::{Pages, file_name};
+use crate::store::segment::{PageRef, Pages, file_name};
 use crate::store::table::PAGE_BLOCKS;
 
 /// A delivered tile: read row band by row band.
@@ -74,8 +75,7 @@ impl RawTile<'_> {
         let posts = self.tile.posts;
         let sample_type = self.declaration.delivered().sample_type;
         let w = sample_type.bytes();
-        let view = &self.snapshot.view;
-        let directory = view.directory(&self.tile.directory)?;
+        let directory = self.snapshot.view.directory(&self.tile.directory)?;
         let cols = self.cols();
         for bj in directory.blocks.j0..directory.blocks.j1 {
             let j0 = (bj * BLOCK).max(posts.j0);
@@ -83,8 +83,7 @@ impl RawTile<'_> {
             let mut samples = vec![0u8; rows * cols * w];
             let mut valid = vec![1u8; rows * cols];
             for bi in directory.blocks.i0..directory.blocks.i1 {
-                let Some((at, _)) = directory.get(bi, bj) else { continue };
-                let raw = decode(&view.files.page(&at)?, &file_name(at.file))?;
+                let Some((at, raw)) = self.block(&directory, bi, bj)? else { continue };
                 let (i0, j1) = (bi * BLOCK + raw.col as i64, bj * BLOCK + (raw.row + raw.rows) as i64);
                 let held = i0 >= posts.i0 && i0 + raw.cols as i64 <= posts.i1 && j1 <= j0 + rows as i64;
                 if raw.sample_type != sample_type || !held {
@@ -107,5 +106,24 @@ impl RawTile<'_> {
             f((j0 - posts.j0) as usize, rows, &samples, &valid)?;
         }
         Ok(())
+    }
+
+    /// Calls `f(block column and row, block)` for every block of samples of the tile, as it is stored.
+    pub fn blocks(&self, mut f: impl FnMut([i64; 2], RawBlock) -> Result<()>) -> Result<()> {
+        let directory = self.snapshot.view.directory(&self.tile.directory)?;
+        for bj in directory.blocks.j0..directory.blocks.j1 {
+            for bi in directory.blocks.i0..directory.blocks.i1 {
+                if let Some((_, raw)) = self.block(&directory, bi, bj)? {
+                    f([bi, bj], raw)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn block(&self, directory: &Directory, bi: i64, bj: i64) -> Result<Option<(PageRef, RawBlock)>> {
+        let Some((at, _)) = directory.get(bi, bj) else { return Ok(None) };
+        let raw = decode(&self.snapshot.view.files.page(&at)?, &file_name(at.file))?;
+        Ok(Some((at, raw)))
     }
 }

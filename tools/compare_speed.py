@@ -1,0 +1,202 @@
+#!/usr/bin/env python3
+"""Compares terraquilt's speed with public tools on this machine, in this run, and prints one table.
+
+    apt install gdal-bin
+    pip install numpy rasterio pydelatin scipy
+    cargo build --release --examples --bins
+    python3 tools/compare_speed.py GRID.tif [--build target/release] [--sierra SRTM.tif] [--rounds 3] [--only 1,4,9] [--json OUT]
+
+GRID is the 16385 x 16385 int16 grid of make_scale_dem.py. Rival and ours run alternately, `--rounds` times, and the medians are
+compared; work that has no rival is counted or timed in process on one thread by `examples/speed`. Each row names what was
+measured; docs/performance.md says how and what limits it. A database made for the run lies beside GRID and is removed (--keep
+leaves it). Takes about ten minutes and 1.5 GB of disk.
+"""
+import argparse, json, os, shutil, statistics, subprocess, sys, tempfile, time
+
+COG = ["-of", "COG", "-co", "COMPRESS=ZSTD", "-co", "LEVEL=1", "-co", "PREDICTOR=2", "-co", "NUM_THREADS=ALL_CPUS"]
+ROWS = []
+
+
+def run(args, threads=None):
+    """Wall seconds, peak resident bytes and output of a command; a failure ends the run."""
+    env = dict(os.environ)
+    if threads:
+        env["RAYON_NUM_THREADS"] = str(threads)
+    started = time.perf_counter()
+    with tempfile.TemporaryFile("w+") as err:
+        p = subprocess.Popen([str(a) for a in args], stdout=subprocess.PIPE, stderr=err, env=env)
+        text = p.stdout.read().decode()
+        _, status, usage = os.wait4(p.pid, 0)
+        seconds = time.perf_counter() - started
+        if status != 0:
+            err.seek(0)
+            sys.exit(f"{' '.join(map(str, args))}: status {status}\n{err.read()}")
+    return seconds, usage.ru_maxrss * 1024, text
+
+
+def size_of(folder):
+    return sum(os.path.getsize(os.path.join(r, f)) for r, _, files in os.walk(folder) for f in files)
+
+
+def row(number, what, must, aim, value, shown, better="less"):
+    """Adds a line to the table; must, aim and value are in one unit."""
+    ok = (lambda limit: value <= limit) if better == "less" else (lambda limit: value >= limit)
+    verdict = "aim" if ok(aim) else "met" if ok(must) else "MISSED"
+    sign = "<=" if better == "less" else ">="
+    line = {"row": number, "what": what, "measured": shown, "value": value, "must": f"{sign} {must:g}", "aim": f"{sign} {aim:g}", "verdict": verdict}
+    ROWS.append(line)
+    print(f"{number:>4}  {what:58}  {shown:44}  {line['must']:>10}  {line['aim']:>10}  {verdict}", flush=True)
+
+
+def middle(values):
+    return statistics.median(values)
+
+
+def spread(values, unit, digits=1):
+    return f"{middle(values):.{digits}f} {unit} ({min(values):.{digits}f} .. {max(values):.{digits}f})"
+
+
+def ingest_rows(a, work):
+    """Rows 1, 2, 3: the whole grid, durable and queryable, beside a COG of it. Leaves the database of the last round."""
+    ours, theirs, peaks = [], [], []
+    db, cog = os.path.join(work, "db"), os.path.join(work, "cog.tif")
+    for _ in range(a.rounds):
+        shutil.rmtree(db, ignore_errors=True)
+        run([a.tq, "init", db, "--crs", a.crs])
+        seconds, peak, _ = run([a.tq, "ingest", db, a.grid, "--accuracy", "1", "--json"])
+        ours.append(seconds)
+        peaks.append(peak)
+        if os.path.exists(cog):
+            os.remove(cog)
+        theirs.append(run(["gdal_translate", "-q", *COG, a.grid, cog])[0])
+    ratio = middle([o / t for o, t in zip(ours, theirs)])
+    row(1, "ingest, durable and queryable / gdal_translate to COG", 1.5, 1.0, ratio, f"{ratio:.2f} x  ({spread(ours, 's')} / {spread(theirs, 's')})")
+    share = size_of(db) / os.path.getsize(cog)
+    row(2, "bytes on disk, all levels and index / COG with overviews", 1.0, 0.85, share, f"{share:.3f} x  ({size_of(db) / 1e6:.1f} / {os.path.getsize(cog) / 1e6:.1f} MB)")
+    row(3, "peak resident memory of the ingest, GB", 1.0, 0.6, max(peaks) / 1e9, f"{max(peaks) / 1e9:.3f} GB")
+    print("      fingerprint " + run([a.tq, "fingerprint", db])[2].strip())
+    os.remove(cog)
+    return db
+
+
+def turned_survey(a, work):
+    """A grid of 1025 x 1025 posts, 5 m apart, turned by 17 degrees, over the middle of GRID: its heights and half a metre more."""
+    import numpy as np, rasterio
+    from rasterio.transform import Affine
+    from scipy.ndimage import map_coordinates
+
+    n, step = 1025, 5.0
+    with rasterio.open(a.grid) as f:
+        t, rows, cols = f.transform, f.height, f.width
+        centre = t * (cols / 2, rows / 2)
+        place = Affine.translation(*centre) * Affine.rotation(17) * Affine.scale(step, -step) * Affine.translation(-n / 2, -n / 2)
+        x, y = place * tuple(v + 0.5 for v in np.meshgrid(np.arange(n), np.arange(n)))
+        c, r = ~t * (x, y)
+        c0, r0 = int(c.min()) - 2, int(r.min()) - 2
+        part = f.read(1, window=((r0, int(r.max()) + 3), (c0, int(c.max()) + 3))).astype(np.float32)
+        z = map_coordinates(part, [r - 0.5 - r0, c - 0.5 - c0], order=1).astype(np.float32) + np.float32(0.5)
+        path = os.path.join(work, "turned.tif")
+        with rasterio.open(path, "w", driver="GTiff", width=n, height=n, count=1, dtype="float32", crs=f.crs, transform=place, tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3) as out:
+            out.write(np.round(z, 2), 1)
+    return path
+
+
+def arrival_rows(a, work, db):
+    """Rows 4, 5, 6: a turned survey arrives on the grid and leaves it; GDAL's way into a tiled mosaic beside it."""
+    survey = turned_survey(a, work)
+    copy = os.path.join(work, "arrivals")
+    found = {}
+    for policy in ("accuracy", "newest"):
+        shutil.rmtree(copy, ignore_errors=True)
+        if policy == "accuracy":
+            shutil.copytree(db, copy)
+        else:
+            run([a.tq, "init", copy, "--crs", a.crs, "--policy", "newest"])
+            run([a.tq, "ingest", copy, a.grid, "--accuracy", "1", "--date", "2020-01-01"])
+        found[policy] = json.loads(run([a.speed, "arrival", copy, survey, 9])[2])
+    shutil.rmtree(copy)
+    of = lambda what, policy: found[policy][what]["median"]
+    newest = f"newest {of('arrival_ms', 'newest'):.0f} ms"
+    row(4, "a turned 1025^2 survey arrives: call to visible commit, ms", 300, 100, of("arrival_ms", "accuracy"), f"{of('arrival_ms', 'accuracy'):.0f} ms (least {found['accuracy']['arrival_ms']['least']:.0f}; {newest})")
+    mosaic = os.path.join(work, "mosaic.tif")
+    levels = ["2", "4", "8", "16", "32", "64"]
+    run(["gdal_translate", "-q", "-co", "TILED=YES", "-co", "COMPRESS=ZSTD", "-co", "ZSTD_LEVEL=1", "-co", "PREDICTOR=2", "-co", "NUM_THREADS=ALL_CPUS", "-co", "BIGTIFF=YES", a.grid, mosaic])
+    run(["gdaladdo", "-q", "-r", "average", "--config", "GDAL_NUM_THREADS", "ALL_CPUS", mosaic, *levels])
+    theirs = []
+    for _ in range(min(a.rounds, 2)):
+        warp = run(["gdalwarp", "-q", "-r", "bilinear", "-multi", "-wo", "NUM_THREADS=ALL_CPUS", survey, mosaic])[0]
+        add = run(["gdaladdo", "-q", "-r", "average", "--config", "GDAL_NUM_THREADS", "ALL_CPUS", mosaic, *levels])[0]
+        theirs.append(warp + add)
+    os.remove(mosaic)
+    times = middle(theirs) * 1e3 / of("arrival_ms", "accuracy")
+    row(5, "gdalwarp into the mosaic + gdaladdo / that", 30, 100, times, f"{times:.0f} x  ({spread(theirs, 's')})", "more")
+    newest = f"newest {of('removal_ms', 'newest'):.0f} ms"
+    row(6, "it is removed again: call to visible commit, ms", 300, 100, of("removal_ms", "accuracy"), f"{of('removal_ms', 'accuracy'):.0f} ms (least {found['accuracy']['removal_ms']['least']:.0f}; {newest})")
+
+
+def query_rows(a, db):
+    """Rows 7 to 10 and 18."""
+    q = json.loads(run([a.speed, "queries", db], threads=1)[2])
+    row(7, "whole grid at 50 m, queries a second", 20e3, 50e3, q["uniform_50m_per_s"], f"{q['uniform_50m_per_s']:,.0f}/s ({q['uniform_50m_patches']} patches)", "more")
+    row(8, "whole grid at 0 m, queries a second", 165, 500, q["uniform_0m_per_s"], f"{q['uniform_0m_per_s']:,.0f}/s ({q['uniform_0m_patches']} patches)", "more")
+    row(9, "camera, 15 km, 1 px, us", 100, 30, q["camera_us"], f"{q['camera_us']:.1f} us ({q['camera_patches']} patches)")
+    least = min(q["uniform_vs_rstar"], q["camera_vs_rstar"])
+    row(10, "rstar in memory / ours on disk, times, rows 7 and 9", 2, 5, least, f"{q['uniform_vs_rstar']:.1f} x, {q['camera_vs_rstar']:.1f} x", "more")
+    row(18, "camera flight at 60 Hz, share of one core, %", 5, 1, q["flight_share_percent"], f"{q['flight_share_percent']:.2f} %")
+
+
+def evaluation_rows(a, db):
+    """Rows 11, 12, 13."""
+    e = json.loads(run([a.speed, "evaluation", db], threads=1)[2])
+    row(11, "grid of heights, bilinear, one core, million a second", 60, 200, e["grid_bilinear_m_per_s"], f"{e['grid_bilinear_m_per_s']:.1f} M/s", "more")
+    row(12, "grid of heights, bicubic, one core, million a second", 20, 60, e["grid_bicubic_m_per_s"], f"{e['grid_bicubic_m_per_s']:.1f} M/s", "more")
+    row(13, "10^6 random points in one call, one core, million/s", 5, 15, e["points_m_per_s"], f"{e['points_m_per_s']:.2f} M/s", "more")
+
+
+def kernel_rows(a, db):
+    """Rows 14 and 17."""
+    d = json.loads(run([a.speed, "decode", db], threads=1)[2])["gigabytes_a_second"]["median"]
+    row(14, "block decode from the mapped store, one core, GB/s", 1, 2, d, f"{d:.2f} GB/s", "more")
+    p = json.loads(run([a.speed, "pyramid", db], threads=1)[2])["million_posts_a_second_all_levels"]["median"]
+    row(17, "errors of all levels at every post, one core, M posts/s", 100, 200, p, f"{p:.0f} M posts/s", "more")
+
+
+PARTS = {
+    (7, 8, 9, 10, 18): query_rows,
+    (11, 12, 13): evaluation_rows,
+    (14, 17): kernel_rows,
+}
+
+
+def main():
+    ap = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ap.add_argument("grid"); ap.add_argument("--crs", default="EPSG:32611")
+    ap.add_argument("--build", default="target/release"); ap.add_argument("--rounds", type=int, default=3)
+    ap.add_argument("--sierra", help="SRTM grid of the Sierra Nevada for row 15 (sierra_srtm3.tif of the shared data)")
+    ap.add_argument("--only", help="rows, comma separated"); ap.add_argument("--json", help="the table as JSON, too")
+    ap.add_argument("--db", help="a database of GRID, instead of one made in the run (rows 1 to 3 are left out)")
+    a = ap.parse_args()
+    a.tq, a.speed = os.path.join(a.build, "terraquilt"), os.path.join(a.build, "examples", "speed")
+    wanted = {int(n) for n in a.only.split(",")} if a.only else set(range(1, 19))
+    work = tempfile.mkdtemp(prefix="speed-", dir=os.path.dirname(os.path.abspath(a.grid)))
+    load = os.getloadavg()
+    print(f"load average at the start {load[0]:.1f}, {os.cpu_count()} cores")
+    print(f"{'row':>4}  {'what':58}  {'measured':44}  {'must':>10}  {'aim':>10}")
+    try:
+        db = a.db or ingest_rows(a, work)
+        if wanted & {4, 5, 6}:
+            arrival_rows(a, work, db)
+        for numbers, part in PARTS.items():
+            if wanted & set(numbers):
+                part(a, db)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    print(f"load average at the end {os.getloadavg()[0]:.1f}")
+    if a.json:
+        with open(a.json, "w") as f:
+            json.dump(ROWS, f, indent=1)
+    sys.exit(1 if any(r["verdict"] == "MISSED" for r in ROWS) else 0)
+
+
+if __name__ == "__main__":
+    main()
