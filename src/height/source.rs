@@ -18,6 +18,46 @@ pub enum SampleType {
     F64 = 8,
 }
 
+/// Does something once for a sample type: `T` is the type of number that the samples are.
+macro_rules! each_type {
+    ($type:expr, $t:ident => $body:block) => {
+        match $type {
+            SampleType::U8 => {
+                type $t = u8;
+                $body
+            }
+            SampleType::I8 => {
+                type $t = i8;
+                $body
+            }
+            SampleType::U16 => {
+                type $t = u16;
+                $body
+            }
+            SampleType::I16 => {
+                type $t = i16;
+                $body
+            }
+            SampleType::U32 => {
+                type $t = u32;
+                $body
+            }
+            SampleType::I32 => {
+                type $t = i32;
+                $body
+            }
+            SampleType::F32 => {
+                type $t = f32;
+                $body
+            }
+            SampleType::F64 => {
+                type $t = f64;
+                $body
+            }
+        }
+    };
+}
+
 impl SampleType {
     pub const ALL: [SampleType; 8] = [
         SampleType::U8,
@@ -76,6 +116,39 @@ impl SampleType {
                 bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7],
             ]),
         }
+    }
+
+    /// The values of the samples in `bytes`, exactly: as [`SampleType::value`] of each, but the type is looked at once.
+    ///
+    /// # Panics
+    /// If `bytes` does not hold `out.len()` samples.
+    pub fn values(self, bytes: &[u8], out: &mut [f64]) {
+        assert_eq!(bytes.len(), out.len() * self.bytes(), "one sample a value");
+        each_type!(self, T => {
+            for (v, b) in out.iter_mut().zip(bytes.chunks_exact(size_of::<T>())) {
+                *v = f64::from(T::from_le_bytes(b.try_into().expect("chunks of one sample")));
+            }
+        });
+    }
+
+    /// Number of valid samples (`valid`: one byte a sample, 0 = void), and the least and the greatest of them:
+    /// infinity and -infinity if there is none.
+    ///
+    /// # Panics
+    /// If `bytes` does not hold `valid.len()` samples.
+    pub fn span(self, bytes: &[u8], valid: &[u8]) -> (u64, [f64; 2]) {
+        assert_eq!(bytes.len(), valid.len() * self.bytes(), "one byte of validity a sample");
+        let count = valid.iter().map(|v| u64::from(*v != 0)).sum();
+        let mut span = [f64::INFINITY, f64::NEG_INFINITY];
+        each_type!(self, T => {
+            for (b, v) in bytes.chunks_exact(size_of::<T>()).zip(valid) {
+                let h = f64::from(T::from_le_bytes(b.try_into().expect("chunks of one sample")));
+                let (low, high) = if *v != 0 { (h, h) } else { (f64::INFINITY, f64::NEG_INFINITY) };
+                span[0] = if low < span[0] { low } else { span[0] };
+                span[1] = if high > span[1] { high } else { span[1] };
+            }
+        });
+        (count, span)
     }
 }
 
@@ -159,3 +232,35 @@ pub trait HeightSource: Send {
 
 /// Opens a file as a source. The implementation sits in `format/`; ingest knows only this type.
 pub type Opener<'a> = &'a dyn Fn(&Path) -> Result<Box<dyn HeightSource>>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of samples of any bits, against one sample at a time.
+    #[test]
+    fn rows_are_what_their_samples_are() {
+        let mut state = 88172645463325252u64;
+        let mut byte = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state as u8
+        };
+        for t in SampleType::ALL {
+            for n in [0usize, 1, 7, 31, 300] {
+                let bytes: Vec<u8> = (0..n * t.bytes()).map(|_| byte()).collect();
+                let mut valid: Vec<u8> = (0..n).map(|_| byte() & 1).collect();
+                let mut found = vec![1.0; n];
+                t.values(&bytes, &mut found);
+                let plain: Vec<f64> = bytes.chunks_exact(t.bytes()).map(|b| t.value(b)).collect();
+                assert!(found.iter().zip(&plain).all(|(a, b)| a.to_bits() == b.to_bits()), "{t:?}");
+                // A valid sample is a number.
+                valid.iter_mut().zip(&plain).filter(|(_, h)| !h.is_finite()).for_each(|(v, _)| *v = 0);
+                let held = || plain.iter().zip(&valid).filter(|(_, v)| **v != 0).map(|(h, _)| *h);
+                let span = [held().fold(f64::INFINITY, f64::min), held().fold(f64::NEG_INFINITY, f64::max)];
+                assert_eq!(t.span(&bytes, &valid), (held().count() as u64, span), "{t:?}");
+            }
+        }
+    }
+}

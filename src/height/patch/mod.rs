@@ -118,24 +118,26 @@ pub fn bottom(accuracy_m: f64, delta: f64) -> f32 {
     up_f32(add_up(accuracy_m, delta))
 }
 
-/// The content key of a patch.
+/// The content key of a patch: blake3 over the message drawn in `docs/format.md`.
+///
+/// The message lies in one piece before it is hashed, since blake3 takes several chunks of a kilobyte side by side.
 pub fn id(kind: Kind, declaration: &[u8; 16], place: Place, z: &Vertices, bot: f32) -> PatchId {
-    let mut h = blake3::Hasher::new();
-    h.put(kind.id_domain());
-    h.put(declaration);
-    h.put_u8(place.level);
-    h.put_i32(place.i);
-    h.put_i32(place.j);
-    h.put_f32(bot);
-    let mut bytes = [0u8; SIDE * 8];
-    for row in z.chunks_exact(SIDE) {
-        for (out, v) in bytes.chunks_exact_mut(8).zip(row) {
-            // One zero: -0 and +0 are the same height.
-            out.copy_from_slice(&(v + 0.0).to_le_bytes());
-        }
-        h.put(&bytes);
+    let mut head = Vec::with_capacity(64);
+    head.put(kind.id_domain());
+    head.put(declaration);
+    head.put_u8(place.level);
+    head.put_i32(place.i);
+    head.put_i32(place.j);
+    head.put_f32(bot);
+    let mut message = [0u8; 64 + SIDE * SIDE * 8];
+    let (start, heights) = message.split_at_mut(head.len());
+    start.copy_from_slice(&head);
+    for (out, v) in heights.chunks_exact_mut(8).zip(z) {
+        // One zero: -0 and +0 are the same height.
+        out.copy_from_slice(&(v + 0.0).to_le_bytes());
     }
-    PatchId(h.finalize().as_bytes()[..16].try_into().expect("a hash has 32 bytes"))
+    let hash = blake3::hash(&message[..head.len() + SIDE * SIDE * 8]);
+    PatchId(hash.as_bytes()[..16].try_into().expect("a hash has 32 bytes"))
 }
 
 #[cfg(test)]
@@ -149,5 +151,24 @@ mod tests {
         assert_ne!(a, b);
         assert_eq!(Kind::ALL.map(|k| Kind::parse(k.name())), Kind::ALL.map(Some));
         assert_eq!(Kind::parse("biquintic"), None);
+    }
+
+    /// Field by field and height by height, as the message is drawn.
+    #[test]
+    fn the_id_is_the_hash_of_its_message() {
+        let z: Vertices =
+            std::array::from_fn(|k| (k as f64 - 500.0) * 0.25 * if k % 3 == 0 { -0.0 } else { 1.0 });
+        for kind in Kind::ALL {
+            let place = Place::new(5, -7, 1 << 20);
+            let mut h = blake3::Hasher::new();
+            h.put(kind.id_domain());
+            h.put(&[9; 16]);
+            h.put_u8(place.level);
+            h.put_i32(place.i);
+            h.put_i32(place.j);
+            h.put_f32(2.5);
+            z.iter().for_each(|v| h.put_f64(if *v == 0.0 { 0.0 } else { *v }));
+            assert_eq!(id(kind, &[9; 16], place, &z, 2.5).0, h.finalize().as_bytes()[..16]);
+        }
     }
 }
