@@ -23,6 +23,7 @@ mod database;
 mod declare;
 mod errors;
 mod export;
+mod finest;
 mod fingerprint;
 mod footprint;
 mod head;
