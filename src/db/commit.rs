@@ -20,6 +20,9 @@ use crate::store::table::PageList;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+/// Bytes of decoded blocks of samples that a commit keeps: what lies around the squares that its threads work on.
+const BLOCK_BYTES: u64 = 64 << 20;
+
 /// What a commit does to the set of surveys.
 #[derive(Default)]
 pub(super) struct Plan {
@@ -76,7 +79,7 @@ impl Writing {
         if let Some(r) = retiled {
             let (date, precedence, since) = (r.date, r.precedence, r.since);
             let mut segment = r.segment;
-            let cache = block_cache(256 << 20);
+            let cache = block_cache(BLOCK_BYTES);
             let mut tiles = r.tiles;
             tiles.sort_by_key(|t| std::cmp::Reverse(t.key));
             let layered_directory = |t: &Tile| -> Result<Arc<Directory>> {

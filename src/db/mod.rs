@@ -7,6 +7,7 @@
 //! - [`contributions`], [`Snapshot::provenance`]: what each survey gives;
 //! - [`verify`]: everything that can be checked; [`fingerprint`]: one hash of the logical content.
 
+mod alone;
 mod area;
 mod arrive;
 mod awaiting;
