@@ -47,6 +47,7 @@ mod resample;
 mod root;
 mod seams;
 mod selection;
+mod settling;
 mod subset;
 mod tile;
 mod triangles;

@@ -3,7 +3,7 @@
 //! A page is found by a [`PageRef`] that carries its checksum, so a page that was damaged *or landed in the
 //! wrong place* is an error on first touch. Bytes are drawn in `docs/format.md`.
 
-use super::disk::{Disk, Finished, Growing};
+use super::disk::{Disk, Finished, Growing, Unnamed};
 use crate::base::bytes::{Put, Reader};
 use crate::base::{Error, Result, limits};
 use std::borrow::Cow;
@@ -183,13 +183,21 @@ impl SegmentWriter {
         Ok(())
     }
 
-    /// Syncs the bytes, renames the file and syncs the names. Returns the file's length.
-    pub fn finish(mut self, disk: &dyn Disk) -> Result<u64> {
+    /// No page follows.
+    pub fn close(mut self) -> Result<Unnamed> {
         self.flush()?;
-        self.file.get_mut().expect("no thread panicked while holding the file").sync()?;
-        disk.rename(&temporary_name(self.number), &file_name(self.number))?;
-        disk.sync_names()?;
-        Ok(self.offset)
+        Ok(Unnamed {
+            file: self.file.into_inner().expect("no thread panicked while holding the file"),
+            temporary: temporary_name(self.number),
+            name: file_name(self.number),
+        })
+    }
+
+    /// Makes the file durable under its own name. Returns its length.
+    pub fn finish(self, disk: &dyn Disk) -> Result<u64> {
+        let length = self.offset;
+        self.close()?.finish(disk)?;
+        Ok(length)
     }
 }
 
