@@ -9,6 +9,7 @@
 
 mod area;
 mod arrive;
+mod asked;
 mod awaiting;
 mod backup;
 mod build;
@@ -25,6 +26,7 @@ mod errors;
 mod export;
 mod fingerprint;
 mod footprint;
+mod found;
 mod head;
 mod kept;
 mod leave;
