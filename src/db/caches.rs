@@ -11,16 +11,16 @@ use super::reader::{BlockCache, block_cache};
 use super::tile::Directory;
 use crate::base::Result;
 use crate::base::bytes::Reader;
-use crate::store::quadtree::Node;
+use crate::store::quadtree::{SPOTS_MAX, Shelf};
 use crate::store::segment::{Files, PageRef, Pages, file_name};
 use crate::store::table::{PageAddress, PageList, PatchPage, TopPage, read_list};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Pages kept decoded, by count. A patch page weighs about 10 KiB, a node 3 KiB.
+/// Pages kept decoded, by count. A patch page weighs about 10 KiB, a node some 80 bytes a record, 5 KiB at most.
 const PAGES: usize = 8192;
-const NODES: usize = 16_384;
+const NODES: usize = SPOTS_MAX;
 const DIRECTORIES: usize = 1024;
 /// Heads and lists of pages of surveys: a survey of a hundred million posts has some 100 KiB of either.
 const SURVEYS: usize = 256;
@@ -38,7 +38,7 @@ pub struct Known {
 
 /// Decoded pages of a database.
 pub struct Caches {
-    nodes: Kept<PageRef, Arc<Node>>,
+    nodes: Kept<PageRef, Arc<Shelf>>,
     patch_pages: Kept<(PageRef, PageAddress), Arc<PatchPage>>,
     top_pages: Kept<(PageRef, PageAddress), Arc<TopPage>>,
     directories: Kept<PageRef, Arc<Directory>>,
@@ -88,8 +88,10 @@ impl Caches {
         self.payloads.sweep();
     }
 
-    pub fn node(&self, files: &Files, at: &PageRef) -> Result<Arc<Node>> {
-        self.nodes.or_read(*at, || Node::read(files, at).map(Arc::new))
+    /// A node of a tree, in columns. Numbers of surveys are never given twice, and a survey keeps its frame: what follows from
+    /// records holds in every version that has the page.
+    pub fn node(&self, at: &PageRef, read: impl FnOnce() -> Result<Shelf>) -> Result<Arc<Shelf>> {
+        self.nodes.or_read(*at, || read().map(Arc::new))
     }
 
     pub fn patch_page(&self, files: &Files, r: &PageRef, at: PageAddress) -> Result<Arc<PatchPage>> {

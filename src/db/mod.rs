@@ -10,6 +10,7 @@
 mod alone;
 mod area;
 mod arrive;
+mod asked;
 mod awaiting;
 mod backup;
 mod build;
@@ -27,6 +28,7 @@ mod export;
 mod finest;
 mod fingerprint;
 mod footprint;
+mod found;
 mod head;
 mod kept;
 mod leave;

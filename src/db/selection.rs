@@ -1,19 +1,20 @@
 //! Which patches a question needs, and what changes from one answer to the next.
 
 use super::area::Area;
+use super::asked::{Asked, Even, Met, Uneven, corners};
 use super::database::Snapshot;
+use super::found::Found;
 use super::query::{Query, Tolerance};
 use super::view::{Rules, Tables};
-use crate::base::lattice::{Bounds, Quad};
+use crate::base::lattice::Bounds;
 use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
-use crate::height::lod::PatchId;
 use crate::height::lod::cut::{Clip, Cut, Region};
-use crate::height::surface::{Blend, KAPPA};
-use crate::store::quadtree::{Domains, Record, walk};
+use crate::height::surface::Blend;
+use crate::store::quadtree::{Domains, Node, Record, Shelf, Shelves, walk};
+use crate::store::segment::PageRef;
 use std::cmp::Ordering;
-use std::collections::HashSet;
-use std::hash::{BuildHasherDefault, Hasher};
+use std::sync::Arc;
 
 /// The patches of an answer, ascending by id.
 #[derive(Clone, Debug)]
@@ -72,31 +73,6 @@ pub fn set_hash<'a>(records: impl Iterator<Item = &'a Record>) -> [u8; 16] {
     out
 }
 
-/// The corners of a quad, CRS units.
-fn corners(quad: &Quad, size: f64) -> [[f64; 2]; 4] {
-    quad.0.map(|p| [p.x as f64 * size, p.y as f64 * size])
-}
-
-/// Patches that a camera's question looks at, so that the set of those seen seldom grows.
-const SEEN: usize = 2048;
-
-/// Ids are hashes already: their first bytes serve as they are.
-#[derive(Default)]
-struct OfContent(u64);
-
-impl Hasher for OfContent {
-    fn write(&mut self, id: &[u8]) {
-        self.0 = id.iter().take(8).fold(self.0, |h, b| h << 8 | u64::from(*b));
-    }
-
-    // The length of an id says nothing.
-    fn write_usize(&mut self, _: usize) {}
-
-    fn finish(&self) -> u64 {
-        self.0
-    }
-}
-
 impl Snapshot {
     pub(super) fn region(&self, query: &Query) -> Result<Region> {
         let whole = match query.area.convex() {
@@ -133,76 +109,85 @@ impl Snapshot {
         Ok(whole)
     }
 
-    /// The patches that the answer needs: for [`Blend::Exact`] the needed set of section 5.4, for
+    /// The patches that the answer needs, ascending by id: for [`Blend::Exact`] the needed set of section 5.4, for
     /// [`Blend::Plain`] those whose box the tolerance cuts.
     pub fn select(&self, query: &Query) -> Result<Selection> {
+        Ok(self.find(query)?.selection())
+    }
+
+    /// The same patches where they lie in the tree: no copy of any, and in no particular order.
+    pub fn find(&self, query: &Query) -> Result<Found> {
         if let Tolerance::Constant(c) = query.tolerance
             && (c.is_nan() || c < 0.0)
         {
             return Err(Error::invalid("--error", format!("{c} m; it must not be negative")));
         }
-        let mut found = self.select_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
+        let mut found = self.find_in(self.region(query)?, &*self.cut(&query.tolerance), query.how.blend)?;
         if let Area::Polygon(polygon) = &query.area {
             let (rules, size) = (Rules(&self.view), self.unit.size());
-            found.records.retain(|r| polygon.meets(&corners(&rules.domain(r), size)));
+            found.retain(|r| polygon.meets(&corners(&rules.domain(r), size)));
         }
         Ok(found)
     }
 
     pub(super) fn select_in(&self, region: Region, cut: &dyn Cut, blend: Blend) -> Result<Selection> {
-        let mut out = Selection {
-            version: self.number(),
-            records: Vec::new(),
-            nodes: 0,
-            tested: 0,
-            region: region.clone(),
+        Ok(self.find_in(region, cut, blend)?.selection())
+    }
+
+    pub(super) fn find_in(&self, region: Region, cut: &dyn Cut, blend: Blend) -> Result<Found> {
+        let tree = self.view.explored();
+        let found = Found::none(self.number(), region, tree.clone());
+        let (Some(root), false) = (&self.view.tree, found.region.is_empty()) else { return Ok(found) };
+        let asked = Asked {
+            domains: &Rules(&self.view),
+            size: self.unit.size(),
+            cut,
+            exact: blend == Blend::Exact,
+            clip: Clip::new(&found.region),
+            met: Met::default(),
+            found,
         };
-        let (Some(tree), false) = (&self.view.tree, region.is_empty()) else { return Ok(out) };
-        let kappa = if blend == Blend::Exact { KAPPA } else { 1.0 };
-        let size = self.unit.size();
-        let mut seen: HashSet<PatchId, BuildHasherDefault<OfContent>> =
-            HashSet::with_capacity_and_hasher(SEEN, Default::default());
-        let (mut of_cell, mut of_record) = (Clip::new(&region), Clip::new(&region));
-        let mut tested = 0;
-        let mut records = Vec::new();
-        let mut range = |cell: &Bounds| {
-            let part = of_cell.part(&corners(&cell.quad(), size));
-            if part.is_empty() {
-                return None;
+        let (nodes, asked) = match cut.even() {
+            Some(c) => {
+                let mut question = Even::new(asked, c);
+                (walk(&tree, self, &root.page, &mut question)?, question.asked)
             }
-            let (lo, hi) = cut.bounds(part);
-            Some((lo / kappa, hi))
+            None => {
+                let mut question = Uneven::new(asked);
+                (walk(&tree, self, &root.page, &mut question)?, question.asked)
+            }
         };
-        let mut visit = |r: &Record| -> Result<()> {
-            tested += 1;
-            // A page with a right checksum and wrong contents: not ours, but no reason to panic.
+        let mut found = asked.found;
+        found.nodes = nodes;
+        Ok(found)
+    }
+}
+
+impl Shelves for Snapshot {
+    fn shelf(&self, at: &PageRef, cell: &Bounds) -> Result<Arc<Shelf>> {
+        // A page with a right checksum and wrong contents: not ours, but no reason to panic.
+        let check = |r: &Record| {
             let known = self.view.entries().get(&r.survey).map(|e| &e.geometry);
-            let Some(g) = known.filter(|g| r.place.level <= g.level_max && r.place.rect().overlaps(&g.core))
-            else {
-                return Err(Error::corrupt(
+            match known.filter(|g| r.place.level <= g.level_max && r.place.rect().overlaps(&g.core)) {
+                Some(_) => Ok(()),
+                None => Err(Error::corrupt(
                     "tree",
                     format!("record of survey {}", r.survey.0),
                     "does not belong to a survey of the root page; run `terraquilt verify`",
-                ));
-            };
-            if !seen.insert(r.id) {
-                return Ok(());
+                )),
             }
-            let part = of_record.part(&corners(&g.frame.quad(&r.place.domain()), size));
-            if part.is_empty() {
-                return Ok(());
-            }
-            let (lo, hi) = cut.bounds(part);
-            let floor = blend == Blend::Exact && r.floor;
-            if lo < kappa * f64::from(r.top) && (f64::from(r.bot) <= hi || floor) {
-                records.push(*r);
-            }
-            Ok(())
         };
-        out.nodes = walk(&self.view, &tree.page, &mut range, &mut visit)?;
-        records.sort_unstable_by_key(|r| r.id);
-        out.records = records;
-        out.tested = tested;
-        Ok(out)
+        let shelf = self.view.caches.node(at, || {
+            let node = Node::read(&self.view.files, at)?;
+            node.records.iter().try_for_each(check)?;
+            Ok(Shelf::new(&node, cell, &Rules(&self.view), self.unit.size()))
+        })?;
+        // The survey may have been another then: it has lost tiles, or the page is of another version.
+        let mut part = Some(&shelf);
+        while let Some(s) = part {
+            s.records.iter().try_for_each(check)?;
+            part = s.rest.as_ref();
+        }
+        Ok(shelf)
     }
 }

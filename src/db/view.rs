@@ -12,13 +12,13 @@ use crate::base::lattice::{Bounds, Quad};
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
 use crate::height::lod::{Cells, Fact, Geometry, Place, SurveyNumber, World};
-use crate::store::quadtree::{Domains, Node, Nodes, Record};
+use crate::store::quadtree::{Domains, Explored, Record};
 use crate::store::segment::{Files, PageRef, Pages, file_name};
 use crate::store::table::{PageAddress, PageList, PatchEntry, PatchPage, TopEntry, TopPage, find, slot};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Cores of surveys, and the ring of one cell to which their weights reach, in an R*-tree.
 pub struct Index(RTree<GeomWithData<Rectangle<[f64; 2]>, SurveyNumber>>);
@@ -117,6 +117,8 @@ pub struct View {
     heads: HashMap<SurveyNumber, OnceLock<Arc<Known>>>,
     top_lists: HashMap<SurveyNumber, OnceLock<Arc<PageList>>>,
     pub caches: Arc<Caches>,
+    /// Nodes of the tree that questions have reached, linked.
+    explored: Mutex<Arc<Explored>>,
     /// Correction fields and what they are made of.
     pub seams: SeamCache,
     /// Blocks of masks.
@@ -143,6 +145,7 @@ impl View {
             heads: entries.keys().map(|n| (*n, OnceLock::new())).collect(),
             top_lists: entries.keys().map(|n| (*n, OnceLock::new())).collect(),
             caches,
+            explored: Mutex::default(),
             seams: SeamCache::new(),
             masks: Masks::new(),
             corrections: Corrections::new(),
@@ -182,6 +185,16 @@ impl View {
 
     pub fn directory(&self, at: &PageRef) -> Result<Arc<Directory>> {
         self.caches.directory(&self.files, at)
+    }
+
+    /// The nodes of the tree that questions have reached. When there is no more room, the next question begins anew; one
+    /// that is under way keeps what it began with.
+    pub fn explored(&self) -> Arc<Explored> {
+        let mut explored = self.explored.lock().unwrap_or_else(PoisonError::into_inner);
+        if explored.is_full() {
+            *explored = Arc::default();
+        }
+        explored.clone()
     }
 
     /// Page of a sample block of a level above 0.
@@ -286,12 +299,6 @@ impl Tables for View {
     fn top_page(&self, survey: SurveyNumber, at: PageAddress) -> Result<Option<Arc<TopPage>>> {
         let Some(r) = find(self.top_list(survey)?, at) else { return Ok(None) };
         self.caches.top_page(&self.files, &r, at).map(Some)
-    }
-}
-
-impl Nodes for View {
-    fn node(&self, at: &PageRef) -> Result<Arc<Node>> {
-        self.caches.node(&self.files, at)
     }
 }
 

@@ -7,13 +7,17 @@
 
 mod build;
 mod check;
+mod explored;
 mod node;
+mod shelf;
 mod walk;
 
 pub use build::{Domains, Editor};
 pub use check::{Stats, check};
+pub use explored::{Explored, SPOTS_MAX, Spot};
 pub use node::{ChildRef, Node, Record, child_cell, root_cell};
-pub use walk::{Nodes, walk};
+pub use shelf::{Below, SHELF, Shelf, bits, first, mask};
+pub use walk::{Question, Range, Shelves, walk};
 
 /// Records a node stores before it passes the rest on.
 pub const CAPACITY: usize = 64;

@@ -4,7 +4,7 @@
 //! `delta = tau w^2 / (D rho + tau |sin a| w)`. The paper's formula uses the distance in place of the depth and is not
 //! conservative; this one is, at any pitch and roll.
 
-use super::{Cut, Region};
+use super::{Cut, Foreseen, Region};
 use crate::base::{Error, Result};
 
 /// A pinhole camera over terrain. Lengths in metres, CRS axes x east, y north.
@@ -108,6 +108,16 @@ impl Camera {
         self.pixels * w * w / (self.focal * rho + self.pixels * s * w)
     }
 
+    /// The least and the greatest tolerance over a disc around a place with this depth (not yet kept from `near`) and this rho:
+    /// depths change by `radius` times the cosine of the pitch at most, rho by `radius`.
+    #[inline(always)]
+    fn over_disc(&self, w: f64, rho: f64, radius: f64) -> (f64, f64) {
+        let by = self.pitch_cos * radius;
+        let lo = self.tolerance((w - by).max(self.near), rho + radius);
+        let hi = self.tolerance((w + by).max(self.near), (rho - radius).max(0.0));
+        (lo, hi)
+    }
+
     /// The ground that can be seen while heights stay in `[z_min, z_max]`: a convex polygon, perhaps empty.
     pub fn footprint(&self, z_min: f64, z_max: f64) -> Region {
         let (f, (s, c)) = (self.forward, (self.pitch_sin, self.pitch_cos));
@@ -165,6 +175,27 @@ impl Cut for Camera {
         let hi = self.tolerance(w_max, rho_min);
         // The last digits: bounds may be loose, never tight in the wrong direction.
         (lo * (1.0 - 1e-12), if hi.is_nan() { f64::INFINITY } else { hi * (1.0 + 1e-12) })
+    }
+
+    /// Last digits of positions are less than `hair` metres, those of what follows less than 1e-9 parts: the larger disc
+    /// grows by them, and the smaller one around the middle stands for its place. Plain arithmetic on columns.
+    fn foresee(&self, x: &[f64], y: &[f64], radius: &[f64], out: &mut [Foreseen]) {
+        let (s, depth_of_height) = (self.pitch_sin.abs(), self.h * self.pitch_sin);
+        let eye = self.eye[0].abs() + self.eye[1].abs() + self.h.abs();
+        for (((x, y), radius), out) in x.iter().zip(y).zip(radius).zip(out) {
+            let hair = 1e-9 * (eye + x.abs() + y.abs());
+            let (along, across) = self.local([*x, *y]);
+            let w = along * self.pitch_cos + depth_of_height;
+            let rho = (along * along + s * across * (s * across)).sqrt();
+            let (lo_least, hi_most) = self.over_disc(w, rho, radius + hair);
+            let (hi_least, lo_most) = self.over_disc(w, rho, hair);
+            *out = Foreseen {
+                lo_least: lo_least * (1.0 - 1e-9),
+                hi_most: if hi_most.is_nan() { f64::INFINITY } else { hi_most * (1.0 + 1e-9) },
+                lo_most: if lo_most.is_nan() { f64::INFINITY } else { lo_most * (1.0 + 1e-9) },
+                hi_least: hi_least * (1.0 - 1e-9),
+            };
+        }
     }
 
     fn at(&self, p: [f64; 2]) -> f64 {

@@ -51,12 +51,26 @@ impl Region {
     }
 }
 
+/// How a disc lies to a region, as far as that is certain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lies {
+    /// All of it inside.
+    Inside,
+    /// Its middle is inside.
+    Middle,
+    /// It may meet the region or not.
+    Unclear,
+    Outside,
+}
+
 /// A directed line whose left side stays. A little slack keeps what lies on it.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     from: [f64; 2],
     along: [f64; 2],
     slack: f64,
+    /// Of length 1, to the left.
+    normal: [f64; 2],
 }
 
 impl Line {
@@ -69,6 +83,8 @@ impl Line {
 #[derive(Clone, Debug)]
 pub struct Clip {
     lines: Vec<Line>,
+    /// The largest coordinate of the region.
+    reach: f64,
     part: Vec<[f64; 2]>,
     next: Vec<[f64; 2]>,
     sides: Vec<f64>,
@@ -81,15 +97,43 @@ impl Clip {
             let (a, b) = (p[k], p[(k + 1) % p.len()]);
             let along = [b[0] - a[0], b[1] - a[1]];
             let slack = (along[0].abs() + along[1].abs()) * (a[0].abs() + a[1].abs() + 1.0) * 1e-12;
-            Line { from: a, along, slack }
+            let length = along[0].hypot(along[1]);
+            Line { from: a, along, slack, normal: [-along[1] / length, along[0] / length] }
         });
-        Clip { lines: lines.collect(), part: Vec::new(), next: Vec::new(), sides: Vec::new() }
+        let reach = p.iter().flatten().fold(0.0f64, |m, v| m.max(v.abs()));
+        Clip { lines: lines.collect(), reach, part: Vec::new(), next: Vec::new(), sides: Vec::new() }
+    }
+
+    /// How a disc lies to the region: some operations a border, where [`Clip::part`] takes some dozens. It agrees with what that makes
+    /// of a convex polygon within the disc: of one [`Lies::Inside`] the part is the polygon itself, of one [`Lies::Outside`] it is
+    /// empty, and with [`Lies::Middle`] it is not empty if the polygon holds the middle.
+    ///
+    /// Distances count from `hairs` times 1e-9 of the coordinates inwards: slack of borders and last digits together are less
+    /// than half of one such hair. A disc that holds a smaller one and is inside by two hairs more has it inside.
+    #[inline]
+    pub fn lies(&self, center: [f64; 2], radius: f64, hairs: f64) -> Lies {
+        let hair = hairs * 1e-9 * (1.0 + self.reach + center[0].abs() + center[1].abs());
+        let mut depth = f64::INFINITY;
+        for l in &self.lines {
+            let d = [center[0] - l.from[0], center[1] - l.from[1]];
+            // Of a border without a length there is no distance (NaN, which is passed over); it cuts nothing off.
+            depth = depth.min(l.normal[0] * d[0] + l.normal[1] * d[1]);
+        }
+        if self.lines.is_empty() || depth < -(radius + hair) {
+            Lies::Outside
+        } else if depth > radius + hair {
+            Lies::Inside
+        } else if depth > hair {
+            Lies::Middle
+        } else {
+            Lies::Unclear
+        }
     }
 
     /// The part of a convex polygon inside the region (Sutherland-Hodgman); empty if they do not meet. The slack of the
     /// borders may make it a hair larger than the truth, never smaller.
     pub fn part(&mut self, polygon: &[[f64; 2]]) -> &[[f64; 2]] {
-        let Clip { lines, part, next, sides } = self;
+        let Clip { lines, part, next, sides, .. } = self;
         part.clear();
         if lines.is_empty() {
             return part;
@@ -145,5 +189,38 @@ mod tests {
         assert!(r.clip(&[[11.0, 11.0], [12.0, 11.0], [12.0, 12.0]]).is_empty());
         let h = Region::hull(vec![[0.0, 0.0], [2.0, 0.0], [1.0, 1.0], [2.0, 2.0], [0.0, 2.0], [1.0, 0.0]]);
         assert_eq!(h.polygon.len(), 4);
+    }
+    /// Quads around random middles, near borders and far from them, held against their parts.
+    #[test]
+    fn what_is_said_of_a_disc_holds_for_what_lies_in_it() {
+        use super::super::testing::random;
+        let s = &mut 0x5eed;
+        let mut seen = [0; 4];
+        for n in 0..40_000 {
+            let middle = [600_000.0, 5_000_000.0];
+            let reach = [1.0, 300.0, 20_000.0][n % 3];
+            let near = |s: &mut u64| [0, 1].map(|k| middle[k] + reach * (2.0 * random(s) - 1.0));
+            let region = match n % 4 {
+                0 => Region::from_box([middle[0] - reach, middle[1] - reach / 2.0, middle[0], middle[1] + reach]),
+                _ => Region::hull((0..3 + n % 5).map(|_| near(s)).collect()),
+            };
+            let mut clip = Clip::new(&region);
+            let (center, radius) = (near(s), reach * random(s).powi(2));
+            let turn = 7.0 * random(s);
+            let quad: [[f64; 2]; 4] = std::array::from_fn(|k| {
+                let a = turn + std::f64::consts::FRAC_PI_2 * k as f64;
+                [center[0] + radius * a.cos(), center[1] + radius * a.sin()]
+            });
+            let lies = clip.lies(center, radius, 1.0);
+            seen[lies as usize] += 1;
+            let part = clip.part(&quad);
+            match lies {
+                Lies::Inside => assert_eq!(part, quad),
+                Lies::Middle => assert!(!part.is_empty()),
+                Lies::Unclear => {}
+                Lies::Outside => assert!(part.is_empty(), "{region:?} {quad:?}"),
+            }
+        }
+        assert!(seen.iter().all(|n| *n > 1000), "{seen:?}");
     }
 }

@@ -1,0 +1,207 @@
+//! Decoded nodes as questions read them: in columns, with what follows from a record and its cell alone.
+//!
+//! A question looks at hundreds of nodes and takes some patches of each, so what decides about a record lies close together
+//! and records themselves are touched only where they are taken. Sets of records of a shelf are masks: bit k is record k.
+
+use super::node::{ChildRef, Node, Record};
+use super::{CAPACITY, Domains};
+use crate::base::lattice::{Bounds, Point, Quad, WORLD_HALF};
+use std::sync::Arc;
+
+/// Records that a mask has bits for.
+pub const SHELF: usize = CAPACITY;
+const _: () = assert!(SHELF == u64::BITS as usize);
+
+/// Discs around the domains of records, CRS units, in columns.
+#[derive(Clone, Copy, Debug)]
+pub struct Discs<'a> {
+    pub x: &'a [f64],
+    pub y: &'a [f64],
+    pub radius: &'a [f64],
+}
+
+/// What decides about a whole shelf, and what a question needs to go on to the children.
+#[derive(Clone, Copy, Debug)]
+pub struct Summary {
+    /// All records.
+    pub all: u64,
+    pub floors: u64,
+    /// Records whose domain has its middle in the cell. The nodes that hold a record have disjoint cells, and the one that
+    /// the middle lies in is among them (invariants Q4 and Q6): a record is in this mask in exactly one node.
+    pub own: u64,
+    /// Records whose domain lies wholly in the cell: they are in no other node.
+    pub alone: u64,
+    pub top_least: f32,
+    pub bot_least: f32,
+    pub bot_most: f32,
+    /// A disc around all domains: x, y, radius, CRS units.
+    pub reach: [f64; 3],
+    pub children: [Option<Below>; 4],
+}
+
+/// What a parent knows of the subtree of a child.
+#[derive(Clone, Copy, Debug)]
+pub struct Below {
+    pub top_max: f32,
+    pub bot_min: f32,
+    pub floor: bool,
+}
+
+/// Up to [`SHELF`] records of a node. A node holds more at the greatest depth only: then `rest` continues it, and the children
+/// are those of the last part.
+#[derive(Debug)]
+pub struct Shelf {
+    pub summary: Summary,
+    /// In record order: tops descend.
+    pub records: Box<[Record]>,
+    pub children: [Option<ChildRef>; 4],
+    pub rest: Option<Arc<Shelf>>,
+    /// Tops, then bots.
+    heights: Box<[f32]>,
+    /// x, then y, then radii of the discs around domains.
+    discs: Box<[f64]>,
+}
+
+impl Shelf {
+    /// The shelf of a node whose cell is `cell`; `size`: CRS units in a lattice unit.
+    pub fn new(node: &Node, cell: &Bounds, domains: &dyn Domains, size: f64) -> Shelf {
+        let mut parts = node.records.chunks(SHELF).rev();
+        let last = Shelf::part(parts.next().unwrap_or(&[]), node.children, None, cell, domains, size);
+        parts.fold(last, |rest, records| {
+            Shelf::part(records, [None; 4], Some(Arc::new(rest)), cell, domains, size)
+        })
+    }
+
+    fn part(
+        records: &[Record],
+        children: [Option<ChildRef>; 4],
+        rest: Option<Arc<Shelf>>,
+        cell: &Bounds,
+        domains: &dyn Domains,
+        size: f64,
+    ) -> Shelf {
+        let n = records.len();
+        let below = |c: ChildRef| Below { top_max: c.top_max, bot_min: c.bot_min, floor: c.floor };
+        let mut s = Summary {
+            all: if n == SHELF { u64::MAX } else { (1 << n) - 1 },
+            floors: 0,
+            own: 0,
+            alone: 0,
+            top_least: f32::INFINITY,
+            bot_least: f32::INFINITY,
+            bot_most: f32::NEG_INFINITY,
+            reach: [0.0; 3],
+            children: children.map(|c| c.map(below)),
+        };
+        let (mut heights, mut discs) = (vec![0.0; 2 * n], vec![0.0; 3 * n]);
+        for (k, r) in records.iter().enumerate() {
+            let quad = domains.domain(r);
+            let b = quad.bounds();
+            let middle = Point::new(b.min.x.midpoint(b.max.x), b.min.y.midpoint(b.max.y));
+            let bit = 1 << k;
+            s.floors |= if r.floor { bit } else { 0 };
+            s.own |= if cell_holds(cell, middle) { bit } else { 0 };
+            s.alone |= if within(&b, cell) { bit } else { 0 };
+            s.top_least = s.top_least.min(r.top);
+            s.bot_least = s.bot_least.min(r.bot);
+            s.bot_most = s.bot_most.max(r.bot);
+            (heights[k], heights[n + k]) = (r.top, r.bot);
+            let disc = around(&quad, middle, size);
+            (discs[k], discs[n + k], discs[2 * n + k]) = (disc[0], disc[1], disc[2]);
+        }
+        s.reach = enclosing(&discs);
+        Shelf {
+            summary: s,
+            records: records.into(),
+            children,
+            rest,
+            heights: heights.into(),
+            discs: discs.into(),
+        }
+    }
+
+    pub fn tops(&self) -> &[f32] {
+        &self.heights[..self.records.len()]
+    }
+
+    pub fn bots(&self) -> &[f32] {
+        &self.heights[self.records.len()..]
+    }
+
+    /// Discs around the domains of the first `n` records.
+    pub fn discs(&self, n: usize) -> Discs<'_> {
+        let all = self.records.len();
+        Discs { x: &self.discs[..n], y: &self.discs[all..all + n], radius: &self.discs[2 * all..2 * all + n] }
+    }
+
+    /// How many records have at least this top; they come first.
+    pub fn of_top(&self, least: f32) -> usize {
+        if self.summary.top_least >= least { self.records.len() } else { self.tops().partition_point(|t| *t >= least) }
+    }
+
+    /// Records with at most this bot.
+    pub fn of_bot(&self, most: f32) -> u64 {
+        if self.summary.bot_least > most {
+            return 0;
+        }
+        if self.summary.bot_most <= most {
+            return self.summary.all;
+        }
+        mask(self.bots().iter().map(|b| *b <= most))
+    }
+}
+
+/// Bit k is the k-th truth.
+pub fn mask(truths: impl Iterator<Item = bool>) -> u64 {
+    truths.enumerate().fold(0, |m, (k, t)| m | u64::from(t) << k)
+}
+
+/// The first `n` records.
+pub fn first(n: usize) -> u64 {
+    if n >= SHELF { u64::MAX } else { (1 << n) - 1 }
+}
+
+/// The numbers of the bits that are set.
+pub fn bits(mut mask: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let k = mask.trailing_zeros();
+        mask &= mask.wrapping_sub(1);
+        (k < u64::BITS).then_some(k as usize)
+    })
+}
+
+/// Whether a half-open cell holds a point.
+fn cell_holds(cell: &Bounds, p: Point) -> bool {
+    (cell.min.x..cell.max.x).contains(&p.x) && (cell.min.y..cell.max.y).contains(&p.y)
+}
+
+fn within(b: &Bounds, cell: &Bounds) -> bool {
+    cell.min.x <= b.min.x && cell.min.y <= b.min.y && b.max.x <= cell.max.x && b.max.y <= cell.max.y
+}
+
+/// A disc around a quad: x, y, radius. Without bound where the middle lies outside of the world: no node owns such a record.
+fn around(quad: &Quad, middle: Point, size: f64) -> [f64; 3] {
+    let world = -WORLD_HALF..WORLD_HALF;
+    let m = [middle.x as f64 * size, middle.y as f64 * size];
+    if !(world.contains(&middle.x) && world.contains(&middle.y)) {
+        return [m[0], m[1], f64::MAX];
+    }
+    let away = |p: &Point| (p.x as f64 * size - m[0]).hypot(p.y as f64 * size - m[1]);
+    [m[0], m[1], quad.0.iter().map(away).fold(0.0, f64::max)]
+}
+
+/// A disc around discs (columns of x, y, radius).
+fn enclosing(discs: &[f64]) -> [f64; 3] {
+    let n = discs.len() / 3;
+    if n == 0 {
+        return [0.0; 3];
+    }
+    let middle = |column: &[f64]| {
+        let (a, b) =
+            column.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+        a.midpoint(b)
+    };
+    let (x, y) = (middle(&discs[..n]), middle(&discs[n..2 * n]));
+    let away = |k: usize| (discs[k] - x).hypot(discs[n + k] - y) + discs[2 * n + k];
+    [x, y, (0..n).map(away).fold(0.0, f64::max)]
+}
