@@ -45,6 +45,10 @@ impl<'a> Reader<'a> {
     read_int!(i64, i64);
     read_int!(f32, f32);
     read_int!(f64, f64);
+    /// What is left, without taking it.
+    pub fn rest(&self) -> &'a [u8] {
+        &self.data[self.at..]
+    }
     pub fn remaining(&self) -> usize {
         self.data.len() - self.at
     }
