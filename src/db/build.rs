@@ -5,7 +5,6 @@
 
 use super::change::Progress;
 use super::errors::errors;
-use super::finest::{Finest, Square};
 use super::head::{Declaration, Head, Tile};
 use super::levels::{decimate, quarters, vertices_near};
 use super::reader::{BlockCache, SampleReader};
@@ -25,8 +24,6 @@ use std::sync::Arc;
 
 /// Places across a page.
 const SIDE: i64 = PAGE_SIDE as i64;
-/// Squares of level 0 (half a megabyte of samples or more) whose results are held before they are written.
-const SQUARES_AT_ONCE: usize = 64;
 /// Blocks of a level that are made before they are written.
 const BLOCKS_AT_ONCE: usize = 256;
 
@@ -145,9 +142,9 @@ fn level_max(core: &CellRect) -> Result<u8> {
 }
 
 pub(super) struct Builder<'a> {
-    input: Input<'a>,
+    pub(super) input: Input<'a>,
     /// The rectangle of posts that tiles span, and those that may have changed.
-    posts: CellRect,
+    pub(super) posts: CellRect,
     pub(super) dirty: CellRect,
     /// Pages that change, as they will be.
     pages: BTreeMap<PageAddress, PatchPage>,
@@ -164,7 +161,7 @@ impl Builder<'_> {
         }
     }
 
-    fn before_entry(&self, place: Place) -> Result<Option<PatchEntry>> {
+    pub(super) fn before_entry(&self, place: Place) -> Result<Option<PatchEntry>> {
         Ok(self.before_page(PageAddress::of_place(place))?.and_then(|p| p.patches[slot(place)]))
     }
 
@@ -190,7 +187,7 @@ impl Builder<'_> {
     }
 
     /// Whether everything of this level has to be built.
-    fn is_new(&self, level: u8) -> bool {
+    pub(super) fn is_new(&self, level: u8) -> bool {
         self.level_before().is_none_or(|l| level > l)
     }
 
@@ -233,72 +230,7 @@ impl Builder<'_> {
         f(&reader)
     }
 
-    /// Level 0: core cells and facts of the places where they may have changed, and the blocks of level 1 over them.
-    fn finest(
-        &mut self,
-        base: &crate::store::segment::Files,
-        out: &mut SegmentWriter,
-        progress: &Progress,
-    ) -> Result<()> {
-        let (d, all) = (self.dirty, self.posts);
-        // A cell is core by the 4 x 4 posts around it.
-        let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
-        let core = places_meeting(0, &cells);
-        let facts = self.dirty_places(0, &all);
-        let above = blocks_of(&vertices_near(if self.is_new(1) { &all } else { &d }, 1));
-        let (declaration, accuracy_m) = (self.input.declaration.id(), self.input.declaration.accuracy_m);
-        let mut squares: Option<Vec<(i64, i64)>> = None;
-        let mut done = 0;
-        loop {
-            let found: Vec<Square> = self.with_reader(base, out, |reader| {
-                let core_before = |place| Ok(self.before_entry(place)?.map_or(Fill::Empty, |e| e.core));
-                let finest = Finest {
-                    reader,
-                    kind: self.input.kind,
-                    declaration,
-                    accuracy_m,
-                    all,
-                    core,
-                    facts,
-                    above,
-                    core_before: &core_before,
-                };
-                let squares = squares.get_or_insert_with(|| along_curve(&finest.squares()));
-                progress.step("levels", done as f64 / squares.len().max(1) as f64)?;
-                let some = &squares[done..(done + SQUARES_AT_ONCE).min(squares.len())];
-                some.par_iter().map_init(Vec::new, |window, at| finest.square(*at, window)).collect()
-            })?;
-            if found.is_empty() {
-                return Ok(());
-            }
-            done += found.len();
-            for square in found {
-                self.take_square(square, out)?;
-            }
-        }
-    }
-
-    fn take_square(&mut self, square: Square, out: &mut SegmentWriter) -> Result<()> {
-        for (place, block) in square.core {
-            let fill = block.fill();
-            if fill == Fill::Empty && self.before_entry(place)?.is_none() {
-                continue;
-            }
-            let page = self.edit(PageAddress::of_place(place))?;
-            set_core(page, slot(place), fill);
-            page.set_block(slot(place), Some(block));
-        }
-        for (place, fact) in square.facts {
-            self.set_fact(place, fact)?;
-        }
-        for ((bi, bj), bytes) in square.above {
-            let at = bytes.map(|b| out.append(&b)).transpose()?;
-            self.blocks.insert((1, bi, bj), at);
-        }
-        Ok(())
-    }
-
-    fn set_fact(&mut self, place: Place, fact: Fact) -> Result<()> {
+    pub(super) fn set_fact(&mut self, place: Place, fact: Fact) -> Result<()> {
         if let Some(e) = &mut self.edit(PageAddress::of_place(place))?.patches[slot(place)] {
             e.fact = fact;
         }
@@ -426,7 +358,7 @@ impl Builder<'_> {
     }
 
     /// Places of a level whose payload or error may have changed.
-    fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
+    pub(super) fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
         let d = if self.is_new(level) { *all } else { self.dirty };
         let r = if level == 0 { 0 } else { 1i64 << level };
         places_touching_posts(level, d.i0 - r, d.j0 - r, d.i1 - 1 + r, d.j1 - 1 + r)
@@ -546,7 +478,7 @@ fn page_posts(at: PageAddress) -> CellRect {
 }
 
 /// Says how much of a place is core; where there is none there is no patch.
-fn set_core(page: &mut PatchPage, slot: usize, core: Fill) {
+pub(super) fn set_core(page: &mut PatchPage, slot: usize, core: Fill) {
     page.patches[slot] = match (core, page.patches[slot]) {
         (Fill::Empty, _) => None,
         (core, Some(e)) => Some(PatchEntry { core, ..e }),

@@ -4,46 +4,53 @@
 //! A square is what a page of the patch table covers: 16 x 16 places, 4 x 4 blocks of posts, 2 x 2 blocks of level 1. Patches
 //! of level 0 have no error, so their facts are complete here.
 
-use super::levels::{Quarters, decimate};
+use super::build::{Builder, set_core};
+use super::change::Progress;
+use super::levels::{Quarters, decimate, vertices_near};
 use super::reader::{SampleReader, close};
-use super::tile::blocks_of;
+use super::tile::{along_curve, blocks_of};
 use crate::base::Result;
 use crate::height::block::encode;
 use crate::height::cells::{Block, Fill};
 use crate::height::frame::CellRect;
-use crate::height::lod::{Fact, KERNEL, MARGIN, Place, SIDE};
+use crate::height::lod::{Fact, KERNEL, MARGIN, Place, SIDE, places_meeting};
 use crate::height::patch::{Kind, Vertices, bottom, id};
-use crate::store::table::{PAGE_BLOCKS, PAGE_SIDE};
+use crate::store::segment::{Files, SegmentWriter};
+use crate::store::table::{PAGE_BLOCKS, PAGE_SIDE, PageAddress, slot};
+use rayon::prelude::*;
+
+/// Squares of level 0 (half a megabyte of samples or more) whose results are held before they are written.
+const SQUARES_AT_ONCE: usize = 64;
 
 /// What is wanted, and of what.
-pub struct Finest<'a> {
-    pub reader: &'a SampleReader<'a>,
-    pub kind: Kind,
-    pub declaration: [u8; 16],
-    pub accuracy_m: f64,
+struct Finest<'a> {
+    reader: &'a SampleReader<'a>,
+    kind: Kind,
+    declaration: [u8; 16],
+    accuracy_m: f64,
     /// The rectangle of posts that tiles span.
-    pub all: CellRect,
+    all: CellRect,
     /// Places whose core cells are wanted.
-    pub core: CellRect,
+    core: CellRect,
     /// Places whose facts are wanted.
-    pub facts: CellRect,
+    facts: CellRect,
     /// Blocks of level 1 that are wanted.
-    pub above: CellRect,
+    above: CellRect,
     /// How much of a place is core that is not among the wanted ones.
-    pub core_before: &'a (dyn Fn(Place) -> Result<Fill> + Sync),
+    core_before: &'a (dyn Fn(Place) -> Result<Fill> + Sync),
 }
 
 /// What one square gives.
-pub struct Square {
-    pub core: Vec<(Place, Block)>,
-    pub facts: Vec<(Place, Fact)>,
+struct Square {
+    core: Vec<(Place, Block)>,
+    facts: Vec<(Place, Fact)>,
     /// Blocks of level 1, packed; `None`: nothing is in it.
-    pub above: Vec<((i64, i64), Option<Vec<u8>>)>,
+    above: Vec<((i64, i64), Option<Vec<u8>>)>,
 }
 
 impl Finest<'_> {
     /// The squares in which something is wanted: `[i0, i1) x [j0, j1)`.
-    pub fn squares(&self) -> CellRect {
+    fn squares(&self) -> CellRect {
         let over = |r: &CellRect, n: i64| {
             let (i1, j1) = ((r.i1 - 1).div_euclid(n) + 1, (r.j1 - 1).div_euclid(n) + 1);
             CellRect::new(r.i0.div_euclid(n), r.j0.div_euclid(n), i1, j1)
@@ -59,7 +66,7 @@ impl Finest<'_> {
     }
 
     /// Makes one square. `window` is memory that was used before.
-    pub fn square(&self, (i, j): (i64, i64), window: &mut Vec<f64>) -> Result<Square> {
+    fn square(&self, (i, j): (i64, i64), window: &mut Vec<f64>) -> Result<Square> {
         let of = |n: i64, r: &CellRect| CellRect::new(i * n, j * n, (i + 1) * n, (j + 1) * n).intersect(r);
         let side = i64::from(PAGE_SIDE);
         let (core, facts) = (of(side, &self.core), of(side, &self.facts));
@@ -137,6 +144,73 @@ impl Finest<'_> {
             }
         }
         Ok(out)
+    }
+}
+
+impl Builder<'_> {
+    /// Level 0: core cells and facts of the places where they may have changed, and the blocks of level 1 over them.
+    pub(super) fn finest(
+        &mut self,
+        base: &Files,
+        out: &mut SegmentWriter,
+        progress: &Progress,
+    ) -> Result<()> {
+        let (d, all) = (self.dirty, self.posts);
+        // A cell is core by the 4 x 4 posts around it.
+        let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
+        let core = places_meeting(0, &cells);
+        let facts = self.dirty_places(0, &all);
+        let above = blocks_of(&vertices_near(if self.is_new(1) { &all } else { &d }, 1));
+        let (declaration, accuracy_m) = (self.input.declaration.id(), self.input.declaration.accuracy_m);
+        let mut squares: Option<Vec<(i64, i64)>> = None;
+        let mut done = 0;
+        loop {
+            let found: Vec<Square> = self.with_reader(base, out, |reader| {
+                let core_before = |place| Ok(self.before_entry(place)?.map_or(Fill::Empty, |e| e.core));
+                let finest = Finest {
+                    reader,
+                    kind: self.input.kind,
+                    declaration,
+                    accuracy_m,
+                    all,
+                    core,
+                    facts,
+                    above,
+                    core_before: &core_before,
+                };
+                let squares = squares.get_or_insert_with(|| along_curve(&finest.squares()));
+                progress.step("levels", done as f64 / squares.len().max(1) as f64)?;
+                let some = &squares[done..(done + SQUARES_AT_ONCE).min(squares.len())];
+                some.par_iter().map_init(Vec::new, |window, at| finest.square(*at, window)).collect()
+            })?;
+            if found.is_empty() {
+                return Ok(());
+            }
+            done += found.len();
+            for square in found {
+                self.take_square(square, out)?;
+            }
+        }
+    }
+
+    fn take_square(&mut self, square: Square, out: &mut SegmentWriter) -> Result<()> {
+        for (place, block) in square.core {
+            let fill = block.fill();
+            if fill == Fill::Empty && self.before_entry(place)?.is_none() {
+                continue;
+            }
+            let page = self.edit(PageAddress::of_place(place))?;
+            set_core(page, slot(place), fill);
+            page.set_block(slot(place), Some(block));
+        }
+        for (place, fact) in square.facts {
+            self.set_fact(place, fact)?;
+        }
+        for ((bi, bj), bytes) in square.above {
+            let at = bytes.map(|b| out.append(&b)).transpose()?;
+            self.set_block(1, bi, bj, at);
+        }
+        Ok(())
     }
 }
 
