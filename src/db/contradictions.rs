@@ -128,84 +128,105 @@ impl<'a> Side<'a> {
     fn cells(&self) -> CellRect {
         CellRect::new(self.posts.i0, self.posts.j0, self.posts.i1 - 1, self.posts.j1 - 1)
     }
+
+    /// Whether a point can have a height, by its index coordinates: it is not beyond the outermost posts.
+    fn may_reach(&self, i: f64, j: f64) -> bool {
+        let p = &self.posts;
+        let within = |v: f64, from: i64, to: i64| v > from as f64 - 0.5 && v < to as f64 - 0.5;
+        within(i, p.i0, p.i1) && within(j, p.j0, p.j1)
+    }
 }
 
-/// Reads the level-0 surface point by point; keeps the block met last.
+/// Reads the level-0 surface point by point; keeps four blocks around the point met last.
 struct Cursor<'a> {
     samples: &'a SampleReader<'a>,
-    /// Block indices, and the block if anything in it is valid.
-    last: Option<([i64; 2], Option<Arc<Heights>>)>,
+    /// By the last bits of their indices: first post, and the block unless nothing in it is valid.
+    blocks: [([i64; 2], Option<Arc<Heights>>); 4],
+    /// Which of them was met last.
+    at: usize,
 }
+
+const N: usize = BLOCK as usize;
 
 impl<'a> Cursor<'a> {
     fn new(samples: &'a SampleReader<'a>) -> Cursor<'a> {
-        Cursor { samples, last: None }
+        Cursor { samples, blocks: std::array::from_fn(|_| ([i64::MAX; 2], None)), at: 0 }
     }
 
-    fn block(&mut self, at: [i64; 2]) -> Result<Option<&Heights>> {
-        if self.last.as_ref().is_none_or(|(k, _)| *k != at) {
-            let block = match self.samples.is_void(at[0], at[1])? {
-                true => None,
-                false => Some(self.samples.block(0, at[0], at[1])?),
-            };
-            self.last = Some((at, block));
+    /// Goes to the block of a post.
+    fn turn(&mut self, i: i64, j: i64) -> Result<()> {
+        let (bi, bj) = (i.div_euclid(BLOCK), j.div_euclid(BLOCK));
+        let first = [bi * BLOCK, bj * BLOCK];
+        self.at = (bi & 1 | (bj & 1) << 1) as usize;
+        if self.blocks[self.at].0 != first {
+            let void = self.samples.is_void(bi, bj)?;
+            let block = if void { None } else { Some(self.samples.block(0, bi, bj)?) };
+            self.blocks[self.at] = (first, block);
         }
-        Ok(self.last.as_ref().and_then(|(_, b)| b.as_deref()))
+        Ok(())
     }
 
-    /// The posts (i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1); NaN for those that are void. Those of weight 0 need not be
-    /// read, and may be NaN, too.
-    fn posts(&mut self, i: i64, j: i64, weights: &[f64; 4]) -> Result<[f64; 4]> {
-        const N: usize = BLOCK as usize;
-        let at = [i.div_euclid(BLOCK), j.div_euclid(BLOCK)];
-        let (a, b) = ((i - at[0] * BLOCK) as usize, (j - at[1] * BLOCK) as usize);
-        if a + 1 < N && b + 1 < N {
-            let Some(block) = self.block(at)? else { return Ok([f64::NAN; 4]) };
-            let k = b * N + a;
-            let around = [k, k + 1, k + N, k + N + 1];
-            return Ok(match &block.valid {
-                None => around.map(|k| block.z[k]),
-                Some(valid) => around.map(|k| if valid[k] != 0 { block.z[k] } else { f64::NAN }),
-            });
+    /// The post (i, j); NaN if it is void.
+    fn post(&mut self, i: i64, j: i64) -> Result<f64> {
+        self.turn(i, j)?;
+        let (first, block) = &self.blocks[self.at];
+        let (a, b) = ((i - first[0]) as usize, (j - first[1]) as usize);
+        Ok(match block {
+            Some(block) if block.is_valid(a, b) => block.z[b * N + a],
+            _ => f64::NAN,
+        })
+    }
+
+    /// The posts (i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1) that have weight; the others may be anything.
+    #[inline]
+    fn around(&mut self, i: i64, j: i64, weights: &[f64; 4]) -> Result<[f64; 4]> {
+        let (first, block) = &self.blocks[self.at];
+        let (a, b) = (i.wrapping_sub(first[0]) as usize, j.wrapping_sub(first[1]) as usize);
+        if a < N - 1
+            && b < N - 1
+            && let Some(block) = block
+            && block.valid.is_none()
+        {
+            let (below, above) = (&block.z[b * N + a..][..2], &block.z[(b + 1) * N + a..][..2]);
+            return Ok([below[0], below[1], above[0], above[1]]);
         }
         let mut z = [f64::NAN; 4];
         for (k, z) in z.iter_mut().enumerate().filter(|(k, _)| weights[*k] > 0.0) {
-            let (i, j) = (i + k as i64 % 2, j + k as i64 / 2);
-            let at = [i.div_euclid(BLOCK), j.div_euclid(BLOCK)];
-            if let Some(block) = self.block(at)? {
-                let (a, b) = ((i - at[0] * BLOCK) as usize, (j - at[1] * BLOCK) as usize);
-                if block.is_valid(a, b) {
-                    *z = block.z[b * N + a];
-                }
-            }
+            *z = self.post(i + k as i64 % 2, j + k as i64 / 2)?;
         }
         Ok(z)
     }
 
-    /// The bilinear height at index coordinates, if every post that has weight is valid.
-    fn height(&mut self, i: f64, j: f64) -> Result<Option<f64>> {
-        // Closer to a post line than this is on it: index coordinates are good to 1e-6 of a cell.
-        const ON: f64 = 1e-6;
-        let split = |v: f64| {
-            // The whole part, by integers: indices are far below 2^53, and rounding to a float is a call on most machines.
-            let n = v as i64 - i64::from(v as i64 as f64 > v);
-            let part = v - n as f64;
-            match () {
-                () if part < ON => (n, 0.0),
-                () if (n + 1) as f64 - v < ON => (n + 1, 0.0),
-                () => (n, part),
-            }
-        };
+    /// The bilinear height at index coordinates; NaN if a post that has weight is void.
+    #[inline]
+    fn height(&mut self, i: f64, j: f64) -> Result<f64> {
         let ((a, x), (b, y)) = (split(i), split(j));
         let weights = [(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y];
-        let posts = self.posts(a, b, &weights)?;
+        let posts = self.around(a, b, &weights)?;
         let mut z = 0.0;
         for (w, h) in weights.into_iter().zip(posts) {
             if w > 0.0 {
                 z += w * h;
             }
         }
-        Ok((!z.is_nan()).then_some(z))
+        Ok(z)
+    }
+}
+
+/// An index coordinate as a post and the way to the next one.
+#[inline]
+fn split(v: f64) -> (i64, f64) {
+    // Closer to a post line than this is on it: index coordinates are good to 1e-6 of a cell.
+    const ON: f64 = 1e-6;
+    // The whole part, by integers: indices are far below 2^53, and rounding to a float is a call on many machines.
+    let n = v as i64 - i64::from(v as i64 as f64 > v);
+    let part = v - n as f64;
+    if part < ON {
+        (n, 0.0)
+    } else if (n + 1) as f64 - v < ON {
+        (n + 1, 0.0)
+    } else {
+        (n, part)
     }
 }
 
@@ -277,12 +298,20 @@ fn compare(
                     let middle =
                         |k: usize, from: i64, to: i64| (from + k as i64 * every + every / 2).min(to - 1);
                     let (i, j) = (middle(col, cells.i0, cells.i1), middle(first + row, cells.j0, cells.j1));
-                    let Some(zg) = on_g.height(i as f64 + 0.5, j as f64 + 0.5)? else { continue };
                     let (p, q) = (g.frame.post(i, j), g.frame.post(i + 1, j + 1));
                     let centre = Point::new(p.x + (q.x - p.x) / 2, p.y + (q.y - p.y) / 2);
                     let (u, v) = h.frame.index(centre);
-                    let Some(zh) = on_h.height(u, v)? else { continue };
-                    let d = zh - zg;
+                    if !h.may_reach(u, v) {
+                        continue;
+                    }
+                    let zh = on_h.height(u, v)?;
+                    if zh.is_nan() {
+                        continue;
+                    }
+                    let d = zh - on_g.height(i as f64 + 0.5, j as f64 + 0.5)?;
+                    if d.is_nan() {
+                        continue;
+                    }
                     lines[row * cols + col] = d as f32;
                     let at = [centre.x as f64 * size, centre.y as f64 * size];
                     let k = metres_per_unit(axis, at);

@@ -7,7 +7,7 @@
 use super::crs::{AxisUnit, Crs};
 use super::source::Affine;
 use crate::base::lattice::{Bounds, Point, Quad, WORLD_HALF};
-use crate::base::round::significant;
+use crate::base::round::{nearest, significant};
 use crate::base::{Error, Result};
 
 /// A rectangle of cells (or of posts) in index space: `[i0, i1) x [j0, j1)`.
@@ -286,13 +286,13 @@ impl Frame {
 
     /// Index coordinates of a lattice point, in `f64` (relative error about 1e-15 of the index).
     pub fn index(&self, p: Point) -> (f64, f64) {
-        let d = self.determinant() as f64;
+        let d = nearest(self.determinant());
         let (dx, dy) =
             (i128::from(p.x) - i128::from(self.anchor.x), i128::from(p.y) - i128::from(self.anchor.y));
         // The numerators are exact integers below 2^123; only the two conversions and the division round.
         let a = dx * i128::from(self.v.y) - dy * i128::from(self.v.x);
         let b = i128::from(self.u.x) * dy - i128::from(self.u.y) * dx;
-        (a as f64 / d, b as f64 / d)
+        (nearest(a) / d, nearest(b) / d)
     }
 
     /// The cells whose interior can meet the quad: a superset, at most one cell too wide on each side.
