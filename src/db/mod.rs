@@ -26,6 +26,7 @@ mod export;
 mod fingerprint;
 mod footprint;
 mod head;
+mod heights;
 mod kept;
 mod leave;
 mod levels;
