@@ -30,6 +30,7 @@ mod fingerprint;
 mod footprint;
 mod found;
 mod head;
+mod heights;
 mod kept;
 mod leave;
 mod levels;

@@ -7,7 +7,7 @@ use super::seams::Fields;
 pub use super::selection::{Difference, Selection, difference, set_hash};
 use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
-use crate::base::lattice::{Bounds, Point, WORLD_HALF};
+use crate::base::lattice::{Bounds, Point};
 use crate::base::polygon::Polygon;
 use crate::base::{Error, Result};
 use crate::height::cells::{Block, Fill};
@@ -15,7 +15,7 @@ use crate::height::lod::cut::{Camera, Constant, Cut, ErrorRaster, Foci, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::{Kind, Shape};
 use crate::height::surface::{
-    Evaluation, Hessian, Hood, How, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
+    Hood, How, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
 };
 use crate::store::quadtree::Record;
 use quick_cache::sync::Cache;
@@ -108,7 +108,7 @@ impl Snapshot {
         Rules(&self.view).meeting(&bounds).into_iter().collect()
     }
 
-    fn ground(&self, selection: Selection, cut: Box<dyn Cut>, how: How) -> Ground<'_> {
+    pub(super) fn ground(&self, selection: Selection, cut: Box<dyn Cut>, how: How) -> Ground<'_> {
         let b = selection.region.bounds();
         let origin = if b[0].is_finite() { [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0] } else { [0.0; 2] };
         // Masks need every survey near the region, whether a patch of it was selected or not.
@@ -143,115 +143,10 @@ impl Snapshot {
         };
         Ground { snapshot: self, surface, cut, data, selection }
     }
-
-    /// Heights at scattered points. Works through the points place by place, so memory stays small however far apart
-    /// they lie; the answers do not depend on it.
-    pub fn heights(
-        &self,
-        points: &[[f64; 2]],
-        tolerance: &Tolerance,
-        how: impl Into<How>,
-    ) -> Result<Vec<Option<Evaluation>>> {
-        self.scattered(points, tolerance, how.into(), &|g, p| g.heights(p))
-    }
-
-    /// As [`Snapshot::heights`], with the gradients of the surface.
-    pub fn slopes(
-        &self,
-        points: &[[f64; 2]],
-        tolerance: &Tolerance,
-        how: impl Into<How>,
-    ) -> Result<Vec<Option<Evaluation>>> {
-        self.scattered(points, tolerance, how.into(), &|g, p| g.slopes(p))
-    }
-
-    /// Who makes the height at each point: as [`Snapshot::explain`].
-    pub fn explained(
-        &self,
-        points: &[[f64; 2]],
-        tolerance: &Tolerance,
-        how: impl Into<How>,
-    ) -> Result<Vec<Option<Makers>>> {
-        self.scattered(points, tolerance, how.into(), &|g, p| g.explained(p))
-    }
-
-    fn scattered<E: Clone>(
-        &self,
-        points: &[[f64; 2]],
-        tolerance: &Tolerance,
-        how: How,
-        ask: Ask<E>,
-    ) -> Result<Vec<Option<E>>> {
-        if let Tolerance::Constant(c) = tolerance
-            && (c.is_nan() || *c < 0.0)
-        {
-            return Err(Error::invalid("tolerance", format!("{c} is no error; give metres, 0 or more")));
-        }
-        let mut out = vec![None; points.len()];
-        // No survey reaches beyond the world of the lattice.
-        let reach = WORLD_HALF as f64 * self.unit.size();
-        let mut order: Vec<usize> =
-            (0..points.len()).filter(|k| points[*k].iter().all(|v| v.abs() <= reach)).collect();
-        self.scattered_within(points, &mut order, tolerance, how, ask, &mut out)?;
-        Ok(out)
-    }
-
-    fn scattered_within<E>(
-        &self,
-        points: &[[f64; 2]],
-        order: &mut [usize],
-        tolerance: &Tolerance,
-        how: How,
-        ask: Ask<E>,
-        out: &mut [Option<E>],
-    ) -> Result<()> {
-        if order.is_empty() || self.view.tree.is_none() {
-            return Ok(());
-        }
-        let b = crate::height::lod::cut::bounds(&order.iter().map(|k| points[*k]).collect::<Vec<_>>());
-        if self.near(b).is_empty() {
-            return Ok(());
-        }
-        let (w, h) = (b[2] - b[0], b[3] - b[1]);
-        let finest = self
-            .entries()
-            .map(|e| e.geometry.steps[0].min(e.geometry.steps[1]))
-            .fold(f64::INFINITY, f64::min);
-        let side_max = finest * 1024.0;
-        if w.max(h) > side_max && order.len() > 1 {
-            let axis = usize::from(h > w);
-            let mid = (b[axis] + b[axis + 2]) / 2.0;
-            order.sort_by(|x, y| (points[*x][axis] > mid).cmp(&(points[*y][axis] > mid)).then(x.cmp(y)));
-            let split = order.partition_point(|k| points[*k][axis] <= mid);
-            // Far out the middle of two neighbouring floats is one of them: such points stay together.
-            if 0 < split && split < order.len() {
-                let (left, right) = order.split_at_mut(split);
-                self.scattered_within(points, left, tolerance, how, ask, out)?;
-                return self.scattered_within(points, right, tolerance, how, ask, out);
-            }
-        }
-        // A region around the points: any superset gives the same heights.
-        let pad =
-            (b[0].abs().max(b[1].abs()).max(b[2].abs()).max(b[3].abs())).max(1.0) * 1e-9 + w.max(h) * 1e-6;
-        let region = Region::from_box([b[0] - pad, b[1] - pad, b[2] + pad, b[3] + pad]);
-        // The points were named: a camera sets their tolerance, not what it sees.
-        let cut = self.cut(tolerance);
-        let selection = self.select_in(region, &*cut, how.blend)?;
-        let ground = self.ground(selection, cut, how);
-        let here: Vec<[f64; 2]> = order.iter().map(|k| points[*k]).collect();
-        let found = ask(&ground, &here)?;
-        for (k, e) in order.iter().zip(found) {
-            out[*k] = e;
-        }
-        Ok(())
-    }
 }
 
 /// Patches that make a height and their shares, which sum to 1; largest first.
 pub type Makers = Vec<(Record, f64)>;
-
-/// What is asked of a surface at points.
-type Ask<'a, E> = &'a dyn Fn(&Ground, &[[f64; 2]]) -> Result<Vec<Option<E>>>;
 
 /// Patches that a surface keeps decoded: some 36 MB of either kind.
 fn shapes_cached(kind: Kind) -> usize {
@@ -319,7 +214,7 @@ impl Source for Data<'_> {
 pub struct Ground<'a> {
     pub snapshot: &'a Snapshot,
     pub surface: Surface,
-    cut: Box<dyn Cut>,
+    pub(super) cut: Box<dyn Cut>,
     data: Data<'a>,
     pub selection: Selection,
 }
@@ -332,39 +227,6 @@ impl Ground<'_> {
     /// Which survey a patch of the surface belongs to.
     pub fn survey_of(&self, patch: usize) -> SurveyNumber {
         self.data.surveys[self.surface.patches[patch].survey]
-    }
-
-    /// Heights at points of the region, in parallel; `None` where there is no data. The set of patches was selected for
-    /// the region: points outside of it must not be asked here.
-    pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        let parts: Vec<Vec<Option<Evaluation>>> =
-            points.par_chunks(2048).map(|c| self.sheet().heights(c)).collect::<Result<_>>()?;
-        Ok(parts.into_iter().flatten().collect())
-    }
-
-    /// Heights with gradients, in parallel, for points of the region.
-    pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
-        let parts: Vec<Vec<Option<Evaluation>>> =
-            points.par_chunks(2048).map(|c| self.sheet().slopes(c)).collect::<Result<_>>()?;
-        Ok(parts.into_iter().flatten().collect())
-    }
-
-    /// Heights with gradients and second derivatives, in parallel, for points of the region. Refused where patches are
-    /// bilinear.
-    pub fn curvatures(&self, points: &[[f64; 2]]) -> Result<Vec<Option<(Evaluation, Hessian)>>> {
-        let parts: Vec<Vec<Option<(Evaluation, Hessian)>>> =
-            points.par_chunks(2048).map(|c| self.sheet().curvatures(c)).collect::<Result<_>>()?;
-        Ok(parts.into_iter().flatten().collect())
-    }
-
-    /// Who makes the heights at points of the region, in parallel: patches and normalised weights, largest first.
-    pub fn explained(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Makers>>> {
-        let one = |p: &[f64; 2]| {
-            let found = self.sheet().explain(*p)?;
-            let named = |(k, w): (usize, f64)| (self.selection.records[k], w);
-            Ok(found.map(|(_, who)| who.into_iter().map(named).collect()))
-        };
-        points.par_iter().map(one).collect()
     }
 
     /// The allowed error at a point, metres.

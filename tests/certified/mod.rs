@@ -6,6 +6,7 @@
 //! `f64`: there only what both sides promise is asked.
 
 pub mod continuity;
+mod doors;
 mod equality;
 mod errors;
 mod gaps;

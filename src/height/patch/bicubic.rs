@@ -50,7 +50,7 @@ fn second_derivatives(z: &[f64; SIDE]) -> [f64; SIDE] {
 
 /// One interval at x: values and second derivatives at its ends.
 #[inline(always)]
-fn value(x: f64, p: f64, q: f64, m: f64, n: f64) -> f64 {
+pub fn value(x: f64, p: f64, q: f64, m: f64, n: f64) -> f64 {
     let u = 1.0 - x;
     let h = (x * u) * SIXTH;
     (p + (q - p) * x) - h * ((1.0 + u) * m + (1.0 + x) * n)
@@ -111,25 +111,46 @@ impl Spline {
         }
     }
 
+    /// Its height at `x` in column `a`, `y` in row `b` of its cells. The same bits as [`Spline::evaluate`].
+    #[inline(always)]
+    pub fn height(&self, a: usize, x: f64, b: usize, y: f64) -> f64 {
+        let at = b * SIDE + a;
+        let (low, high) = (&self.0[at..at + 2], &self.0[at + SIDE..at + SIDE + 2]);
+        let column = |k: usize, of: usize| value(y, low[k][of], high[k][of], low[k][of + 2], high[k][of + 2]);
+        value(x, column(0, 0), column(1, 0), column(0, 1), column(1, 1))
+    }
+
     /// The spline along s at a fixed t: at `y` in the row of cells `b`. The same bits as [`Spline::evaluate`].
     pub fn line(&self, b: usize, y: f64) -> Line {
+        let mut line = Line::FLAT;
+        self.part_of_line(b, y, 0, SIDE - 1, &mut line);
+        line
+    }
+
+    /// The knots `first` to `last` of [`Spline::line`].
+    #[inline(always)]
+    pub fn part_of_line(&self, b: usize, y: f64, first: usize, last: usize, line: &mut Line) {
         let (low, high) = (&self.0[b * SIDE..][..SIDE], &self.0[(b + 1) * SIDE..][..SIDE]);
-        let along = |of: usize| {
-            std::array::from_fn(|a| value(y, low[a][of], high[a][of], low[a][of + 2], high[a][of + 2]))
-        };
-        Line { values: along(0), bends: along(1) }
+        let (first, last) = (first.min(SIDE - 1), last.min(SIDE - 1));
+        for a in first..=last {
+            let (l, h) = (&low[a], &high[a]);
+            line.values[a] = value(y, l[0], h[0], l[2], h[2]);
+            line.bends[a] = value(y, l[1], h[1], l[3], h[3]);
+        }
     }
 }
 
 /// A spline along s: values and second derivatives at its 33 knots.
 pub struct Line {
-    values: [f64; SIDE],
-    bends: [f64; SIDE],
+    pub values: [f64; SIDE],
+    pub bends: [f64; SIDE],
 }
 
 impl Line {
+    pub const FLAT: Line = Line { values: [0.0; SIDE], bends: [0.0; SIDE] };
+
     /// At `x` in cell `a`.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, a: usize, x: f64) -> f64 {
         value(x, self.values[a], self.values[a + 1], self.bends[a], self.bends[a + 1])
     }

@@ -72,13 +72,43 @@ impl Buckets {
         })
     }
 
-    pub fn at(&self, p: [f64; 2]) -> &[u32] {
-        if self.ends.is_empty() {
-            return &[];
-        }
+    /// Number of squares.
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The square of a point; of one outside, the nearest.
+    pub fn number(&self, p: [f64; 2]) -> u32 {
         let s = self.square(p);
-        let k = s[1] * self.count[0] + s[0];
-        let from = if k == 0 { 0 } else { self.ends[k - 1] };
-        &self.lists[from as usize..self.ends[k] as usize]
+        (s[1] * self.count[0] + s[0]) as u32
+    }
+
+    /// The list of a square.
+    pub fn list(&self, number: u32) -> &[u32] {
+        let Some(end) = self.ends.get(number as usize) else { return &[] };
+        let from = if number == 0 { 0 } else { self.ends[number as usize - 1] };
+        &self.lists[from as usize..*end as usize]
+    }
+
+    pub fn at(&self, p: [f64; 2]) -> &[u32] {
+        self.list(self.number(p))
+    }
+
+    /// Which patches may contain a point of a box, ascending.
+    pub fn within(&self, min: [f64; 2], max: [f64; 2], out: &mut Vec<u32>) {
+        out.clear();
+        if self.ends.is_empty() {
+            return;
+        }
+        let (lo, hi) = (self.square(min), self.square(max));
+        for y in lo[1]..=hi[1] {
+            for x in lo[0]..=hi[0] {
+                out.extend_from_slice(self.list((y * self.count[0] + x) as u32));
+            }
+        }
+        if lo != hi {
+            out.sort_unstable();
+            out.dedup();
+        }
     }
 }

@@ -3,13 +3,12 @@
 use super::bent::{Corrections, MetField};
 use super::buckets::Buckets;
 use super::seam::Field;
-use super::{Dual, Hood, Jet, KAPPA, Real, outside};
-use crate::base::lattice::Point;
+use super::{Dual, Hood, Jet, KAPPA, Real, SurveyField, outside};
 use crate::base::round::add_up;
 use crate::base::{Error, Result};
-use crate::height::frame::{Frame, LatticeUnit};
+use crate::height::frame::LatticeUnit;
 use crate::height::lod::cut::Cut;
-use crate::height::lod::{Geometry, KERNEL, MARGIN, PatchId, Place};
+use crate::height::lod::{KERNEL, MARGIN, PatchId, Place};
 use crate::height::patch::{Kind, Shape};
 use std::sync::Arc;
 
@@ -58,23 +57,6 @@ impl From<Blend> for How {
     }
 }
 
-/// A survey as the surface sees it.
-#[derive(Clone, Debug)]
-pub struct SurveyField {
-    pub accuracy: f32,
-    frame: Frame,
-    /// A post in the middle of the survey, CRS units, and its index coordinates: positions are taken from there.
-    middle: [f64; 2],
-    middle_index: [f64; 2],
-    /// Index coordinates of one CRS unit in x and y.
-    by_x: [f64; 2],
-    by_y: [f64; 2],
-    /// Half the side of a level-0 domain, CRS units.
-    half: [f64; 2],
-    /// Where core' can be, in cells, and the ring around it: lowest and highest index.
-    reach: [[f64; 2]; 2],
-}
-
 /// A patch that may contribute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patch {
@@ -85,6 +67,34 @@ pub struct Patch {
     pub bot: f32,
     pub top: f32,
     pub floor: bool,
+}
+
+impl Patch {
+    /// dn: how much of it is still there at a tolerance, before coarser ones take over.
+    #[inline]
+    pub(super) fn down<T: Real>(&self, kind: Kind, z: T) -> T {
+        let (one, top) = (T::constant(1.0), f64::from(self.top));
+        if top.is_infinite() {
+            return one;
+        }
+        one - (z - T::constant(top)).scale(1.0 / ((KAPPA - 1.0) * top)).ramp(kind)
+    }
+
+    /// up': a floor patch stays in as far as no better survey is there (`mask`).
+    #[inline]
+    pub(super) fn masked(&self, up: f64, mask: f64) -> f64 {
+        if self.floor && up < 1.0 { up + (1.0 - up) * mask } else { up }
+    }
+
+    /// up: how much of it is there already, its error being allowed.
+    #[inline]
+    pub(super) fn up<T: Real>(&self, kind: Kind, z: T) -> T {
+        let bot = f64::from(self.bot);
+        if bot == 0.0 || z.value().is_infinite() {
+            return T::constant(1.0);
+        }
+        (z - T::constant(bot)).scale(1.0 / ((KAPPA - 1.0) * bot)).ramp(kind)
+    }
 }
 
 /// Where heights and cells come from.
@@ -124,14 +134,14 @@ pub struct Surface {
     /// What lies between vertices; weights and fades are as smooth.
     pub kind: Kind,
     /// The lists of patches near a point are found from there.
-    origin: [f64; 2],
+    pub(super) origin: [f64; 2],
     pub surveys: Vec<SurveyField>,
     /// Ascending by id: the order of every sum.
     pub patches: Vec<Patch>,
     pub blend: Blend,
     /// Surveys are bent towards better ones along their borders.
     pub corrected: bool,
-    index: Buckets,
+    pub(super) index: Buckets,
 }
 
 /// Surface, tolerance and data together: what can be asked for heights.
@@ -139,42 +149,6 @@ pub struct Sheet<'a> {
     pub surface: &'a Surface,
     pub cut: &'a dyn Cut,
     pub source: &'a dyn Source,
-}
-
-impl SurveyField {
-    /// Positions in a survey are taken from a post of its own, so that digits are kept, and a height is the same bit for bit
-    /// from whatever region it is asked.
-    pub fn new(g: &Geometry, unit: LatticeUnit) -> SurveyField {
-        let (frame, steps, accuracy) = (&g.frame, g.steps, g.accuracy);
-        let size = unit.size();
-        let post = frame.post((g.core.i0 + g.core.i1) / 2, (g.core.j0 + g.core.j1) / 2);
-        let middle = [post.x as f64, post.y as f64];
-        let (i, j) = frame.index(Point::new(middle[0] as i64, middle[1] as i64));
-        let d = frame.determinant() as f64 * size * size;
-        let (u, v) = (frame.u, frame.v);
-        let half = (KERNEL / 2 + MARGIN) as f64;
-        SurveyField {
-            accuracy,
-            frame: *frame,
-            middle: middle.map(|v| v * size),
-            middle_index: [i, j],
-            by_x: [v.y as f64 * size / d, -(u.y as f64) * size / d],
-            by_y: [-(v.x as f64) * size / d, u.x as f64 * size / d],
-            half: [half * steps[0], half * steps[1]],
-            reach: [[g.core.i0 - 2, g.core.j0 - 2], [g.core.i1 + 2, g.core.j1 + 2]]
-                .map(|r| r.map(|v| v as f64)),
-        }
-    }
-
-    /// Index coordinates of a point (CRS units).
-    #[inline]
-    pub(super) fn index<T: Real>(&self, p: [f64; 2]) -> [T; 2] {
-        let p = [p[0] - self.middle[0], p[1] - self.middle[1]];
-        [0, 1].map(|k| {
-            let v = self.middle_index[k] + (self.by_x[k] * p[0] + self.by_y[k] * p[1]);
-            T::with_gradient(v, self.by_x[k], self.by_y[k])
-        })
-    }
 }
 
 impl Surface {
@@ -219,7 +193,7 @@ struct At<T> {
 /// Memory of one thread between points.
 #[derive(Default)]
 pub(super) struct Scratch {
-    /// Per survey: the block met last.
+    /// Blocks met lately, by survey and indices modulo their count.
     hoods: Vec<Option<MetHood>>,
     /// Patches met lately, by number modulo their count.
     last: Vec<Option<(u32, Shape)>>,
@@ -229,14 +203,14 @@ pub(super) struct Scratch {
     pub(super) seams: Vec<Option<MetField>>,
 }
 
-/// Indices of a level-0 block, and its cells.
-type MetHood = ((i32, i32), Arc<Hood>);
+/// Survey and indices of a level-0 block, and its cells.
+type MetHood = ((usize, i32, i32), Arc<Hood>);
 
 /// An evaluation, and who contributed: patch number and weight.
 pub type Explained = (Evaluation, Vec<(usize, f64)>);
 
 /// Shares of the sum of weights below this are rounding: such a patch does not count as a contributor.
-const SHARE_MIN: f64 = 1e-12;
+pub(super) const SHARE_MIN: f64 = 1e-12;
 
 /// Patches that a thread keeps at hand.
 const LATELY: usize = 64;
@@ -295,22 +269,32 @@ impl Sheet<'_> {
             return Ok(At { index, outside: T::constant(1.0) });
         }
         let block = index.map(|c| (c.value() / KERNEL as f64).floor());
-        let key = (block[0] as i32, block[1] as i32);
-        if s.hoods.len() < self.surface.surveys.len() {
-            s.hoods.resize(self.surface.surveys.len(), None);
-        }
-        let slot = &mut s.hoods[survey];
-        let hood = match slot {
-            Some((k, h)) if *k == key => h.clone(),
-            _ => {
-                let h = self.source.hood(survey, key.0, key.1)?;
-                *slot = Some((key, h.clone()));
-                h
-            }
-        };
+        let hood = self.hood(survey, block[0] as i32, block[1] as i32, s)?;
         let x = index[0] - T::constant(block[0] * KERNEL as f64);
         let y = index[1] - T::constant(block[1] * KERNEL as f64);
-        Ok(At { index, outside: outside(&hood, self.surface.kind, x, y) })
+        Ok(At { index, outside: outside(hood, self.surface.kind, x, y) })
+    }
+
+    /// The cells around a level-0 block of a survey.
+    pub(super) fn hood<'s>(&self, survey: usize, i: i32, j: i32, s: &'s mut Scratch) -> Result<&'s Hood> {
+        let key = (survey, i, j);
+        s.hoods.resize(LATELY, None);
+        let at = i.wrapping_add(j.wrapping_mul(8)).wrapping_add(survey as i32 * 29) as u32 as usize;
+        let slot = &mut s.hoods[at % LATELY];
+        if !slot.as_ref().is_some_and(|(k, _)| *k == key) {
+            *slot = Some((key, self.source.hood(survey, i, j)?));
+        }
+        Ok(&slot.as_ref().expect("it was there or has just been put there").1)
+    }
+
+    /// A patch, ready to be evaluated.
+    pub(super) fn shape<'s>(&self, patch: u32, s: &'s mut Scratch) -> Result<&'s Shape> {
+        s.last.resize(LATELY, None);
+        let slot = &mut s.last[patch as usize % LATELY];
+        if !slot.as_ref().is_some_and(|(n, _)| *n == patch) {
+            *slot = Some((patch, self.source.shape(patch as usize)?));
+        }
+        Ok(&slot.as_ref().expect("it was there or has just been put there").1)
     }
 
     fn tolerance<T: Real>(&self, p: [f64; 2]) -> T {
@@ -323,7 +307,7 @@ impl Sheet<'_> {
     }
 
     /// What the surface is at a point, and its second derivatives (0 where `T` does not carry them).
-    fn evaluate<T: Real>(
+    pub(super) fn evaluate<T: Real>(
         &self,
         p: [f64; 2],
         s: &mut Scratch,
@@ -383,13 +367,7 @@ impl Sheet<'_> {
             if weight.value() <= 0.0 {
                 continue;
             }
-            s.last.resize(LATELY, None);
-            let slot = &mut s.last[k as usize % LATELY];
-            let shape = match slot {
-                Some((n, shape)) if *n == k => shape,
-                _ => &slot.insert((k, self.source.shape(k as usize)?)).1,
-            };
-            let f = T::of_patch(shape.at(a.value(), b.value()), a, b);
+            let f = T::of_patch(self.shape(k, s)?.at(a.value(), b.value()), a, b);
             // Sums are taken relative to the first height: no digits are lost on high ground.
             let zero = *reference.get_or_insert(f.value());
             weights = weights + weight;
@@ -460,21 +438,12 @@ impl Sheet<'_> {
         s: &mut Scratch,
         at: &mut [Option<At<T>>],
     ) -> Result<T> {
-        let (one, kind) = (T::constant(1.0), self.surface.kind);
-        let (bot, top) = (f64::from(patch.bot), f64::from(patch.top));
-        let down = if top.is_infinite() {
-            one
-        } else {
-            one - (z - T::constant(top)).scale(1.0 / ((KAPPA - 1.0) * top)).ramp(kind)
-        };
+        let one = T::constant(1.0);
+        let down = patch.down(self.surface.kind, z);
         if down.value() <= 0.0 {
             return Ok(down);
         }
-        let mut up = if bot == 0.0 || z.value().is_infinite() {
-            one
-        } else {
-            (z - T::constant(bot)).scale(1.0 / ((KAPPA - 1.0) * bot)).ramp(kind)
-        };
+        let mut up = patch.up(self.surface.kind, z);
         if patch.floor && up.value() < 1.0 {
             let mut mask = one;
             for (k, survey) in self.surface.surveys.iter().enumerate() {

@@ -21,12 +21,20 @@ mod bent;
 mod buckets;
 mod eval;
 mod hood;
+mod lanes;
+mod planes;
 mod real;
+mod run;
+mod scattered;
 pub mod seam;
+mod survey;
+mod tile;
 
-pub use eval::{Blend, Evaluation, Hessian, How, Patch, Seams, Sheet, Source, Surface, SurveyField};
+pub use eval::{Blend, Evaluation, Hessian, How, Patch, Seams, Sheet, Source, Surface};
 pub use hood::{Hood, outside};
+pub use planes::{Band, Planes};
 pub use real::{Dual, Jet, Real};
+pub use survey::SurveyField;
 
 /// Ratio over which weights fade in and out along the error axis.
 pub const KAPPA: f64 = 1.1;

@@ -21,6 +21,7 @@ pub trait Real:
     fn gradient(self) -> [f64; 2];
     /// By xx, xy and yy; 0 where they are not carried.
     fn hessian(self) -> [f64; 3];
+    #[inline(always)]
     fn scale(self, k: f64) -> Self {
         self * Self::constant(k)
     }
@@ -39,6 +40,7 @@ pub trait Real:
         )
     }
     /// The ramp g of section 5.4: 0 below 0, 1 above 1; between them linear, or of class C2.
+    #[inline(always)]
     fn ramp(self, kind: Kind) -> Self {
         let c = Self::constant;
         if self.value() <= 0.0 {
@@ -55,6 +57,7 @@ pub trait Real:
     }
     /// The weight of a patch in one direction, from the distance to the border of its domain: 0 there, 1 in the middle.
     /// The hat t, or t^3 (4 - 3t), which is (1 - |x|)^3 (3|x| + 1) for x = 1 - t (section 7).
+    #[inline(always)]
     fn bump(self, kind: Kind) -> Self {
         match kind {
             Kind::Bilinear => self,

@@ -29,6 +29,10 @@ pub trait Cut: Sync {
     fn gradient(&self, p: [f64; 2]) -> [f64; 2];
     /// Its second derivatives by xx, xy and yy there; where it has a kink, those of one side.
     fn hessian(&self, p: [f64; 2]) -> [f64; 3];
+    /// The tolerance, if it is the same at every point.
+    fn everywhere(&self) -> Option<f64> {
+        None
+    }
 }
 
 /// Between what the bounds `(lo, hi)` lie over any convex polygon within a disc.
@@ -70,5 +74,8 @@ impl Cut for Constant {
     }
     fn hessian(&self, _: [f64; 2]) -> [f64; 3] {
         [0.0; 3]
+    }
+    fn everywhere(&self) -> Option<f64> {
+        Some(self.0)
     }
 }

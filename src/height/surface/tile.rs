@@ -1,0 +1,359 @@
+//! The surface on a grid along the axes, in tiles of up to 64 x 64 points, with the bits of [`Sheet::evaluate`].
+//!
+//! Where the posts of a survey run along the axes as well, weights and cells of a patch belong to a column or to a row of the
+//! tile: they are found once for all its points. Each row of the grid then meets a patch along one line through its
+//! vertices, and heights, weights and sums are worked out along the row. That is done for plain tiles: one tolerance,
+//! no seams to correct, and each survey either fills the tile or is not there. Other tiles are cut in halves, down to runs of
+//! points ([`run`](super::run)).
+
+use super::eval::{Blend, Patch, SHARE_MIN, Sheet};
+use super::lanes::{self, Along, Lane, RUN, Sums};
+use super::run::{Cover, Runs};
+use super::{Band, Planes, SurveyField};
+use crate::base::Result;
+use crate::height::patch::{Shape, bicubic, bilinear};
+use multiversion::multiversion;
+
+/// Columns and rows of a tile, at most.
+pub const TILE: usize = RUN;
+/// Patches of a plain tile, at most: with more, smaller tiles cost less.
+const PARTS_MAX: usize = 64;
+
+/// A patch that contributes to a plain tile.
+struct Part {
+    shape: Shape,
+    /// By column and by row of the tile.
+    a: Along,
+    b: Along,
+    /// Columns and rows in its domain: first, and end.
+    cols: [usize; 2],
+    rows: [usize; 2],
+    /// Lowest and highest cell among its columns; `straight`: each column is one cell further than the one before.
+    cells: [usize; 2],
+    straight: bool,
+    /// The factors of its weights that are the same everywhere.
+    volume: f64,
+    level: f64,
+    bound: f64,
+    /// The least that it weighs anywhere, and whether that is more than a rounding error's share.
+    least: f64,
+    counts: bool,
+}
+
+/// Index coordinates of a survey by column and by row of the tile.
+struct Met {
+    cover: Cover,
+    i: Lane,
+    j: Lane,
+}
+
+/// Memory of one thread between tiles.
+#[derive(Default)]
+pub(super) struct Tiles {
+    pub runs: Runs,
+    near: Vec<u32>,
+    met: Vec<Met>,
+    parts: Vec<Part>,
+}
+
+/// Where a block of the grid lies in the band that is filled, and how long rows of the band are.
+#[derive(Clone, Copy)]
+struct Site {
+    col: usize,
+    row: usize,
+    width: usize,
+}
+
+fn sorted(v: &[f64]) -> bool {
+    v.iter().all(|v| v.is_finite()) && (v.is_sorted() || v.is_sorted_by(|a, b| a >= b))
+}
+
+impl SurveyField {
+    /// Posts run along the axes: the first index coordinate depends on x alone, the second on y alone, bit for bit, as the
+    /// other axis adds a zero to a number that is not -0.
+    fn is_upright(&self) -> bool {
+        let plain = |v: f64| v != 0.0 || v.is_sign_positive();
+        self.by_y[0] == 0.0 && self.by_x[1] == 0.0 && self.middle_index.into_iter().all(plain)
+    }
+}
+
+impl Sheet<'_> {
+    /// Heights at the points `(xs[c], ys[r])` (CRS units), row by row, into a band of as many points. Fastest where both
+    /// ascend or descend.
+    pub fn grid(&self, xs: &[f64], ys: &[f64], band: &mut Band) -> Result<()> {
+        let mut s = Tiles::default();
+        let plain =
+            sorted(xs) && sorted(ys) && self.cut.everywhere().is_some() && !self.surface.corrected;
+        for (r, ys) in ys.chunks(TILE).enumerate() {
+            for (c, part) in xs.chunks(TILE).enumerate() {
+                let site = Site { col: c * TILE, row: r * TILE, width: xs.len() };
+                self.block(part, ys, site, plain, &mut s, band)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn block(
+        &self,
+        xs: &[f64],
+        ys: &[f64],
+        site: Site,
+        plain: bool,
+        s: &mut Tiles,
+        band: &mut Band,
+    ) -> Result<()> {
+        let (x, y) = (lanes::range(xs), lanes::range(ys));
+        let o = self.surface.origin;
+        let mut near = std::mem::take(&mut s.near);
+        self.surface.index.within([x[0] - o[0], y[0] - o[1]], [x[1] - o[0], y[1] - o[1]], &mut near);
+        let (cols, rows) = (xs.len(), ys.len());
+        let mut done = plain && near.len() <= PARTS_MAX && self.tile(xs, ys, site, &near, s, band)?;
+        if !done && cols * rows <= RUN {
+            let mut points = [[0.0; 2]; RUN];
+            for (k, p) in points[..cols * rows].iter_mut().enumerate() {
+                *p = [xs[k % cols], ys[k / cols]];
+            }
+            let place = |k: usize| (site.row + k / cols) * site.width + site.col + k % cols;
+            self.run(&points[..cols * rows], &near, &mut s.runs, band, place)?;
+            done = true;
+        }
+        s.near = near;
+        if done {
+            return Ok(());
+        }
+        if cols >= rows {
+            let (left, right) = xs.split_at(cols / 2);
+            self.block(left, ys, site, plain, s, band)?;
+            self.block(right, ys, Site { col: site.col + cols / 2, ..site }, plain, s, band)
+        } else {
+            let (low, high) = ys.split_at(rows / 2);
+            self.block(xs, low, site, plain, s, band)?;
+            self.block(xs, high, Site { row: site.row + rows / 2, ..site }, plain, s, band)
+        }
+    }
+
+    /// Works a tile, if it is plain; says whether it was.
+    fn tile(
+        &self,
+        xs: &[f64],
+        ys: &[f64],
+        site: Site,
+        near: &[u32],
+        s: &mut Tiles,
+        band: &mut Band,
+    ) -> Result<bool> {
+        if !self.meet_all(xs, ys, s)? {
+            return Ok(false);
+        }
+        s.parts.clear();
+        let mut most = 0.0;
+        for k in near {
+            let patch = &self.surface.patches[*k as usize];
+            if s.met[patch.survey].cover == Cover::Outside {
+                continue;
+            }
+            let level = if self.surface.blend == Blend::Exact { self.plain_level(patch, &s.met) } else { 1.0 };
+            if level <= 0.0 {
+                continue;
+            }
+            let Some(part) = self.part(*k, level, [xs.len(), ys.len()], s)? else { continue };
+            if part.least <= 0.0 {
+                return Ok(false);
+            }
+            most += part.volume * part.level;
+            s.parts.push(part);
+        }
+        for part in &mut s.parts {
+            // Twice: the sum of weights is less than that, however it was rounded.
+            part.counts = part.least > 2.0 * SHARE_MIN * most;
+        }
+        let inside = |n: &usize| s.met[*n].cover == Cover::Inside;
+        let surveys = self.surface.surveys.iter().enumerate().filter(|(n, _)| inside(n));
+        let best = surveys.map(|(_, survey)| survey.accuracy).fold(f32::INFINITY, f32::min);
+        for r in 0..ys.len() {
+            let first = (site.row + r) * site.width + site.col;
+            let here = first..first + xs.len();
+            let (z, error) = (&mut band.z[here.clone()], &mut band.error_m[here.clone()]);
+            let (accuracy, marks) = (&mut band.accuracy_m[here.clone()], &mut band.marks[here]);
+            accuracy.fill(best);
+            marks.fill(Planes::DATA | Planes::CERTIFIED);
+            if !row(&s.parts, r, z, error) {
+                for k in (0..xs.len()).filter(|k| z[*k].is_nan()) {
+                    (error[k], accuracy[k], marks[k]) = (f64::NAN, f32::NAN, 0);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Finds all surveys over a tile; false if one is neither absent nor fills it with posts along the axes.
+    fn meet_all(&self, xs: &[f64], ys: &[f64], s: &mut Tiles) -> Result<bool> {
+        let surveys = &self.surface.surveys;
+        s.met.resize_with(surveys.len(), || Met { cover: Cover::Outside, i: [0.0; RUN], j: [0.0; RUN] });
+        for (n, (survey, met)) in surveys.iter().zip(&mut s.met).enumerate() {
+            // Each index coordinate rises or falls with x and with y: its extremes are at the corners.
+            let [(x0, x1), (y0, y1)] = [xs, ys].map(|v| (v[0], v[v.len() - 1]));
+            let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(|p| survey.index::<f64>(p));
+            let range = [0, 1].map(|k| lanes::range(&corners.map(|c| c[k])));
+            met.cover = self.cover(n, range, xs.len() * ys.len(), &mut s.runs.points)?;
+            if met.cover == Cover::Mixed || (met.cover == Cover::Inside && !survey.is_upright()) {
+                return Ok(false);
+            }
+            if met.cover == Cover::Inside {
+                for (i, x) in met.i.iter_mut().zip(xs) {
+                    *i = survey.index::<f64>([*x, y0])[0];
+                }
+                for (j, y) in met.j.iter_mut().zip(ys) {
+                    *j = survey.index::<f64>([x0, *y])[1];
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// up' dn of a patch in a plain tile.
+    fn plain_level(&self, patch: &Patch, met: &[Met]) -> f64 {
+        let (kind, z) = (self.surface.kind, self.cut.everywhere().unwrap_or(0.0));
+        let (down, up) = (patch.down(kind, z), patch.up(kind, z));
+        if down <= 0.0 {
+            return down;
+        }
+        let better = self.surface.surveys.iter().zip(met).filter(|(s, _)| s.accuracy < patch.bot);
+        let mask = if better.into_iter().any(|(_, m)| m.cover == Cover::Inside) { 0.0 } else { 1.0 };
+        patch.masked(up, mask) * down
+    }
+
+    /// A patch in a plain tile; `None` if no point lies in its domain.
+    fn part(&self, number: u32, level: f64, [cols, rows]: [usize; 2], s: &mut Tiles) -> Result<Option<Part>> {
+        let kind = self.surface.kind;
+        let patch = &self.surface.patches[number as usize];
+        let (survey, met) = (&self.surface.surveys[patch.survey], &s.met[patch.survey]);
+        let (domain, r) = (patch.place.domain(), f64::from(1u32 << patch.place.level));
+        let (mut a, mut b) = (Along::NONE, Along::NONE);
+        lanes::along(&met.i, cols, domain.i0 as f64, 1.0 / r, kind, &mut a);
+        lanes::along(&met.j, rows, domain.j0 as f64, 1.0 / r, kind, &mut b);
+        // Weights rise to the middle and fall again: those above 0 are next to each other, the least is at an end.
+        let within = |w: &[f64]| {
+            let first = w.iter().position(|w| *w > 0.0)?;
+            let end = w.iter().rposition(|w| *w > 0.0)? + 1;
+            Some(([first, end], w[first].min(w[end - 1])))
+        };
+        let (Some((cols, wa)), Some((rows, wb))) = (within(&a.weight[..cols]), within(&b.weight[..rows])) else {
+            return Ok(None);
+        };
+        let volume = kind.volume() / (survey.half[0] * r * (survey.half[1] * r));
+        let cells = &a.cell[cols[0]..cols[1]];
+        let ends = [cells[0], cells[cells.len() - 1]].map(|c| c as usize);
+        Ok(Some(Part {
+            shape: self.shape(number, &mut s.runs.points)?.clone(),
+            straight: cells.windows(2).all(|c| c[1] == c[0] + 1),
+            cells: [ends[0].min(ends[1]), ends[0].max(ends[1])],
+            a,
+            b,
+            cols,
+            rows,
+            volume,
+            level,
+            bound: f64::from(patch.bot),
+            least: (wa * wb) * volume * level,
+            counts: false,
+        }))
+    }
+}
+
+/// One row of a tile: heights, NaN where no patch contributes, and errors. Says whether all points have a height.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn row(parts: &[Part], r: usize, z: &mut [f64], error: &mut [f64]) -> bool {
+    let count = z.len().min(RUN);
+    let mut sums = Sums::NONE;
+    let mut errors = [f64::NEG_INFINITY; RUN];
+    let (mut line, mut f) = (bicubic::Line::FLAT, [0.0; RUN]);
+    for part in parts.iter().filter(|p| p.rows[0] <= r && r < p.rows[1]) {
+        part.heights(r, &mut line, &mut f);
+        let (c0, c1) = (part.cols[0], part.cols[1].min(RUN));
+        let wb = part.b.weight[r];
+        let bound = if part.counts { part.bound } else { f64::NEG_INFINITY };
+        for k in c0..c1 {
+            let w = (part.a.weight[k] * wb) * part.volume * part.level;
+            lanes::add_one(&mut sums, k, w, f[k]);
+            errors[k] = if bound > errors[k] { bound } else { errors[k] };
+        }
+    }
+    for part in parts.iter().filter(|p| !p.counts && p.rows[0] <= r && r < p.rows[1]) {
+        for k in part.cols[0]..part.cols[1].min(RUN) {
+            let w = (part.a.weight[k] * part.b.weight[r]) * part.volume * part.level;
+            if w > SHARE_MIN * sums.weights[k] && part.bound > errors[k] {
+                errors[k] = part.bound;
+            }
+        }
+    }
+    let mut least = f64::INFINITY;
+    for k in 0..count {
+        let w = sums.weights[k];
+        let height = sums.zero[k] + sums.sum[k] / w;
+        z[k] = if w > 0.0 { height } else { f64::NAN };
+    }
+    error[..count].copy_from_slice(&errors[..count]);
+    for w in &sums.weights[..count] {
+        least = if *w < least { *w } else { least };
+    }
+    least > 0.0
+}
+
+impl Part {
+    /// Heights of the patch at the columns in its domain.
+    #[inline(always)]
+    fn heights(&self, r: usize, line: &mut bicubic::Line, f: &mut Lane) {
+        let (c0, c1) = (self.cols[0], self.cols[1].min(RUN));
+        let (b, y) = (self.b.cell[r] as usize, self.b.x[r]);
+        let [lo, hi] = self.cells;
+        let columns = |k: usize| (self.a.cell[k] as usize, self.a.x[k]);
+        // A line through the vertices of the row pays where columns share them.
+        let lined = 2 * (c1 - c0) >= hi - lo;
+        match &self.shape {
+            Shape::Bilinear(z) if lined => {
+                bilinear::line(z, b, y, lo, hi + 1, &mut line.values);
+                let v = &line.values;
+                if self.straight {
+                    let (f, x) = (&mut f[c0..c1], &self.a.x[c0..c1]);
+                    let v = &v[lo..lo + f.len() + 1];
+                    for (k, (f, x)) in f.iter_mut().zip(x).enumerate() {
+                        *f = v[k] + (v[k + 1] - v[k]) * x;
+                    }
+                } else {
+                    for k in c0..c1 {
+                        let (a, x) = columns(k);
+                        f[k] = v[a] + (v[a + 1] - v[a]) * x;
+                    }
+                }
+            }
+            Shape::Bilinear(z) => {
+                for k in c0..c1 {
+                    let (a, x) = columns(k);
+                    f[k] = bilinear::height(z, a, x, b, y);
+                }
+            }
+            Shape::Bicubic(spline) if lined => {
+                spline.part_of_line(b, y, lo, hi + 1, line);
+                if self.straight {
+                    let (f, x) = (&mut f[c0..c1], &self.a.x[c0..c1]);
+                    let (v, m) = (&line.values[lo..lo + f.len() + 1], &line.bends[lo..lo + f.len() + 1]);
+                    for (k, (f, x)) in f.iter_mut().zip(x).enumerate() {
+                        *f = bicubic::value(*x, v[k], v[k + 1], m[k], m[k + 1]);
+                    }
+                } else {
+                    for k in c0..c1 {
+                        let (a, x) = columns(k);
+                        f[k] = line.at(a, x);
+                    }
+                }
+            }
+            Shape::Bicubic(spline) => {
+                for k in c0..c1 {
+                    let (a, x) = columns(k);
+                    f[k] = spline.height(a, x, b, y);
+                }
+            }
+        }
+    }
+}
