@@ -100,7 +100,9 @@ impl Quad {
     /// Whether the *open* quad meets the half-open cell `[min, max)`. Since the quad is open and both are
     /// convex with interior, this is the same as their interiors meeting.
     pub fn meets_cell(&self, cell: &Bounds) -> bool {
-        self.overlaps(&cell.quad())
+        // Around a corner that lies inside the cell there is interior of both.
+        let inside = |p: &Point| cell.min.x < p.x && p.x < cell.max.x && cell.min.y < p.y && p.y < cell.max.y;
+        self.0.iter().any(inside) || self.overlaps(&cell.quad())
     }
 }
 

@@ -6,21 +6,26 @@
 use super::change::Progress;
 use super::errors::errors;
 use super::head::{Declaration, Head, Tile};
-use super::levels::{decimate, vertices_near};
+use super::levels::{decimate, quarters, vertices_near};
 use super::reader::{BlockCache, SampleReader};
 use super::resample::{Resampling, warp_of};
-use super::tile::{Directory, blocks_of};
+use super::tile::{Directory, along_curve, blocks_of};
 use crate::base::{Error, Result, limits};
 use crate::height::block::{BLOCK, encode};
-use crate::height::cells::{Block, Fill};
+use crate::height::cells::Fill;
 use crate::height::frame::CellRect;
 use crate::height::lod::{Fact, LEVEL_MAX, Place, places_meeting, places_touching_posts};
 use crate::height::patch::{Kind, bottom, id};
 use crate::store::segment::{Layered, PageRef, SegmentWriter};
-use crate::store::table::{PAGE_BLOCKS, PageAddress, PatchEntry, PatchPage, block_slot, slot};
+use crate::store::table::{PAGE_BLOCKS, PAGE_SIDE, PageAddress, PatchEntry, PatchPage, block_slot, slot};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
+
+/// Places across a page.
+const SIDE: i64 = PAGE_SIDE as i64;
+/// Blocks of a level that are made before they are written.
+const BLOCKS_AT_ONCE: usize = 256;
 
 /// The state of a survey before the change.
 pub struct Before<'a> {
@@ -106,13 +111,15 @@ pub fn build(
     if let Some(w) = &warp {
         b.resample(w, base, out, progress)?;
     }
-    b.core(base, out)?;
+    b.finest(base, out, progress)?;
     let core = b.core_rect()?;
     let level_max = level_max(&core)?;
     b.fills(level_max)?;
     for level in 1..=level_max {
-        b.level(level, base, out, progress)?;
-        progress.step("levels", f64::from(level) / f64::from(level_max))?;
+        if level > 1 {
+            b.level(level, base, out, progress)?;
+        }
+        b.note_blocks(level)?;
     }
     b.facts(level_max, base, out, progress)?;
     let resampling = match &warp {
@@ -135,9 +142,9 @@ fn level_max(core: &CellRect) -> Result<u8> {
 }
 
 pub(super) struct Builder<'a> {
-    input: Input<'a>,
+    pub(super) input: Input<'a>,
     /// The rectangle of posts that tiles span, and those that may have changed.
-    posts: CellRect,
+    pub(super) posts: CellRect,
     pub(super) dirty: CellRect,
     /// Pages that change, as they will be.
     pages: BTreeMap<PageAddress, PatchPage>,
@@ -154,7 +161,7 @@ impl Builder<'_> {
         }
     }
 
-    fn before_entry(&self, place: Place) -> Result<Option<PatchEntry>> {
+    pub(super) fn before_entry(&self, place: Place) -> Result<Option<PatchEntry>> {
         Ok(self.before_page(PageAddress::of_place(place))?.and_then(|p| p.patches[slot(place)]))
     }
 
@@ -180,7 +187,7 @@ impl Builder<'_> {
     }
 
     /// Whether everything of this level has to be built.
-    fn is_new(&self, level: u8) -> bool {
+    pub(super) fn is_new(&self, level: u8) -> bool {
         self.level_before().is_none_or(|l| level > l)
     }
 
@@ -223,47 +230,10 @@ impl Builder<'_> {
         f(&reader)
     }
 
-    /// Level-0 core cells of the places whose cells may have changed.
-    fn core(&mut self, base: &crate::store::segment::Files, out: &SegmentWriter) -> Result<()> {
-        let d = self.dirty;
-        // A cell is core by the 4 x 4 posts around it.
-        let cells = CellRect::new(d.i0 - 2, d.j0 - 2, d.i1 + 1, d.j1 + 1);
-        let range = places_meeting(0, &cells);
-        let found: Vec<Vec<(Place, Block)>> = self.with_reader(base, out, |reader| {
-            (range.j0..range.j1)
-                .into_par_iter()
-                .map(|j| {
-                    (range.i0..range.i1)
-                        .map(|i| {
-                            let place = Place::new(0, i, j);
-                            Ok((place, Block::core_of(&reader.validity(place)?)))
-                        })
-                        .collect()
-                })
-                .collect()
-        })?;
-        for (place, block) in found.into_iter().flatten() {
-            let fill = block.fill();
-            if fill == Fill::Empty && self.before_entry(place)?.is_none() {
-                continue;
-            }
-            self.set_core(place, fill)?;
-            let s = slot(place);
-            self.edit(PageAddress::of_place(place))?.set_block(s, Some(block));
+    pub(super) fn set_fact(&mut self, place: Place, fact: Fact) -> Result<()> {
+        if let Some(e) = &mut self.edit(PageAddress::of_place(place))?.patches[slot(place)] {
+            e.fact = fact;
         }
-        Ok(())
-    }
-
-    fn set_core(&mut self, place: Place, core: Fill) -> Result<()> {
-        let s = slot(place);
-        let page = self.edit(PageAddress::of_place(place))?;
-        page.patches[s] = match (core, page.patches[s]) {
-            (Fill::Empty, _) => None,
-            (core, Some(e)) => Some(PatchEntry { core, ..e }),
-            (core, None) => {
-                Some(PatchEntry { fact: Fact { id: Default::default(), bot: f32::INFINITY }, core })
-            }
-        };
         Ok(())
     }
 
@@ -307,39 +277,46 @@ impl Builder<'_> {
         Ok(rect)
     }
 
-    /// How much of each rectangle above level 0 is core.
+    /// How much of each rectangle above level 0 is core: page by page, each under a quarter of the page above.
     fn fills(&mut self, level_max: u8) -> Result<()> {
+        const HALF: i32 = PAGE_SIDE / 2;
         let mut below: BTreeSet<(i32, i32)> =
-            self.pages.iter().filter(|(a, _)| a.level == 0).flat_map(|(a, _)| page_places(*a)).collect();
+            self.pages.keys().filter(|a| a.level == 0).map(|a| (a.i, a.j)).collect();
         for level in 1..=level_max {
-            let mut places: BTreeSet<(i32, i32)> = below.iter().map(|(i, j)| (i >> 1, j >> 1)).collect();
             if self.is_new(level) {
                 // The level did not exist: its places lie over every place below.
                 if let Some(b) = &self.input.before {
-                    let known: Vec<PageAddress> =
-                        b.head.pages.iter().map(|(a, _)| *a).filter(|a| a.level == level - 1).collect();
-                    places.extend(known.into_iter().flat_map(page_places).map(|(i, j)| (i >> 1, j >> 1)));
+                    let known = b.head.pages.iter().map(|(a, _)| a).filter(|a| a.level == level - 1);
+                    below.extend(known.map(|a| (a.i, a.j)));
                 }
             }
-            for (i, j) in &places {
-                let place = Place { level, i: *i, j: *j };
-                let c = place.children();
-                let fill = Fill::join([
-                    self.core_fill(c[0])?,
-                    self.core_fill(c[1])?,
-                    self.core_fill(c[2])?,
-                    self.core_fill(c[3])?,
-                ]);
-                if fill != Fill::Empty || self.before_entry(place)?.is_some() {
-                    self.set_core(place, fill)?;
+            for (i, j) in &below {
+                let from = PageAddress { level: level - 1, i: *i, j: *j };
+                let kept = if self.pages.contains_key(&from) { None } else { self.before_page(from)? };
+                let Some(page) = self.pages.get(&from).or(kept.as_deref()) else { continue };
+                let core = |a: i32, b: i32| {
+                    page.patches[(b * PAGE_SIDE + a) as usize].map_or(Fill::Empty, |e| e.core)
+                };
+                let joined: Vec<(Place, Fill)> = (0..HALF * HALF)
+                    .map(|k| (k % HALF, k / HALF))
+                    .map(|(a, b)| {
+                        let (c, d) = (2 * a, 2 * b);
+                        let quarters = [core(c, d), core(c + 1, d), core(c, d + 1), core(c + 1, d + 1)];
+                        (Place { level, i: i * HALF + a, j: j * HALF + b }, Fill::join(quarters))
+                    })
+                    .collect();
+                for (place, fill) in joined {
+                    if fill != Fill::Empty || self.before_entry(place)?.is_some() {
+                        set_core(self.edit(PageAddress::of_place(place))?, slot(place), fill);
+                    }
                 }
             }
-            below = places;
+            below = below.iter().map(|(i, j)| (i >> 1, j >> 1)).collect();
         }
         Ok(())
     }
 
-    /// Decimates the level below and fills the vertices without a sample.
+    /// Decimates the level below (not level 0, see [`Builder::finest`]) and fills the vertices without a sample.
     fn level(
         &mut self,
         level: u8,
@@ -349,20 +326,26 @@ impl Builder<'_> {
     ) -> Result<()> {
         let all = self.posts;
         let posts = if self.is_new(level) { all } else { self.dirty };
-        let blocks = blocks_of(&vertices_near(&posts, level));
-        for bj in blocks.j0..blocks.j1 {
+        for some in along_curve(&blocks_of(&vertices_near(&posts, level))).chunks(BLOCKS_AT_ONCE) {
             progress.check()?;
-            let row: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader| {
-                (blocks.i0..blocks.i1)
-                    .into_par_iter()
-                    .map(|bi| Ok(decimate(reader, level, bi, bj, &all)?.map(|b| encode(&b))))
+            let found: Vec<Option<Vec<u8>>> = self.with_reader(base, out, |reader| {
+                some.par_iter()
+                    .map(|(bi, bj)| {
+                        let quarters = quarters(reader, level, *bi, *bj)?;
+                        Ok(decimate(reader, level, (*bi, *bj), &quarters, &all)?.map(|b| encode(&b)))
+                    })
                     .collect()
             })?;
-            for (k, bytes) in row.into_iter().enumerate() {
+            for ((bi, bj), bytes) in some.iter().zip(found) {
                 let at = bytes.map(|b| out.append(&b)).transpose()?;
-                self.blocks.insert((level, blocks.i0 + k as i64, bj), at);
+                self.blocks.insert((level, *bi, *bj), at);
             }
         }
+        Ok(())
+    }
+
+    /// Names the new blocks of a level in its pages.
+    fn note_blocks(&mut self, level: u8) -> Result<()> {
         let new: Vec<((u8, i64, i64), Option<PageRef>)> =
             self.blocks.iter().filter(|(k, _)| k.0 == level).map(|(k, v)| (*k, *v)).collect();
         for ((_, bi, bj), at) in new {
@@ -375,13 +358,13 @@ impl Builder<'_> {
     }
 
     /// Places of a level whose payload or error may have changed.
-    fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
+    pub(super) fn dirty_places(&self, level: u8, all: &CellRect) -> CellRect {
         let d = if self.is_new(level) { *all } else { self.dirty };
         let r = if level == 0 { 0 } else { 1i64 << level };
         places_touching_posts(level, d.i0 - r, d.j0 - r, d.i1 - 1 + r, d.j1 - 1 + r)
     }
 
-    /// Errors and content keys.
+    /// Errors and content keys above level 0.
     fn facts(
         &mut self,
         level_max: u8,
@@ -398,21 +381,25 @@ impl Builder<'_> {
         })?;
         let declaration_id = self.input.declaration.id();
         let accuracy = self.input.declaration.accuracy_m;
-        for level in 0..=level_max {
+        for level in 1..=level_max {
             let range = ranges[level as usize];
-            let rows: Vec<Vec<(Place, Fact)>> = self.with_reader(base, out, |reader| {
-                (range.j0..range.j1)
+            let (i1, j1) = ((range.i1 - 1).div_euclid(SIDE) + 1, (range.j1 - 1).div_euclid(SIDE) + 1);
+            let pages = CellRect::new(range.i0.div_euclid(SIDE), range.j0.div_euclid(SIDE), i1, j1);
+            let found: Vec<Vec<(Place, Fact)>> = self.with_reader(base, out, |reader| {
+                along_curve(&pages)
                     .into_par_iter()
-                    .map(|j| {
+                    .map(|(pi, pj)| {
                         let mut found = Vec::new();
-                        for i in range.i0..range.i1 {
+                        let page = CellRect::new(pi * SIDE, pj * SIDE, (pi + 1) * SIDE, (pj + 1) * SIDE);
+                        let here = page.intersect(&range);
+                        for (i, j) in (here.j0..here.j1).flat_map(|j| (here.i0..here.i1).map(move |i| (i, j)))
+                        {
                             let place = Place::new(level, i, j);
                             if self.core_fill(place)? == Fill::Empty {
                                 continue;
                             }
                             let k = ((j - range.j0) * range.width() + i - range.i0) as usize;
-                            let delta = if level == 0 { 0.0 } else { deltas[level as usize][k] };
-                            let bot = bottom(accuracy, delta);
+                            let bot = bottom(accuracy, deltas[level as usize][k]);
                             let z = reader.vertices(kind, place)?;
                             found.push((place, Fact { id: id(kind, &declaration_id, place, &z, bot), bot }));
                         }
@@ -420,12 +407,9 @@ impl Builder<'_> {
                     })
                     .collect()
             })?;
-            progress.step("keys", f64::from(level + 1) / f64::from(level_max + 1))?;
-            for (place, fact) in rows.into_iter().flatten() {
-                let s = slot(place);
-                if let Some(e) = &mut self.edit(PageAddress::of_place(place))?.patches[s] {
-                    e.fact = fact;
-                }
+            progress.step("keys", f64::from(level) / f64::from(level_max))?;
+            for (place, fact) in found.into_iter().flatten() {
+                self.set_fact(place, fact)?;
             }
         }
         Ok(())
@@ -440,7 +424,9 @@ impl Builder<'_> {
             self.pages.insert(at, PatchPage::default());
         }
         self.pages.retain(|a, p| a.level <= level_max || p.is_empty());
-        let mut dead = Vec::new();
+        // Blocks of level 1 that were made before it was known that there is no such level.
+        let mut dead: Vec<PageRef> =
+            self.blocks.iter().filter(|(k, _)| k.0 > level_max).filter_map(|(_, at)| *at).collect();
         let mut list: BTreeMap<PageAddress, PageRef> =
             self.input.before.as_ref().map_or(BTreeMap::new(), |b| b.head.pages.iter().copied().collect());
         let mut pages = BTreeMap::new();
@@ -491,6 +477,11 @@ fn page_posts(at: PageAddress) -> CellRect {
     CellRect::new(i, j, i + side, j + side)
 }
 
-fn page_places(at: PageAddress) -> impl Iterator<Item = (i32, i32)> {
-    (0..256).map(move |s| at.place(s)).map(|p| (p.i, p.j))
+/// Says how much of a place is core; where there is none there is no patch.
+pub(super) fn set_core(page: &mut PatchPage, slot: usize, core: Fill) {
+    page.patches[slot] = match (core, page.patches[slot]) {
+        (Fill::Empty, _) => None,
+        (core, Some(e)) => Some(PatchEntry { core, ..e }),
+        (core, None) => Some(PatchEntry { fact: Fact { id: Default::default(), bot: f32::INFINITY }, core }),
+    };
 }

@@ -248,7 +248,7 @@ fn survey(s: &Snapshot, n: SurveyNumber, r: &mut Report, progress: &Progress) ->
     let head = s.view.head(n)?.clone();
     let name = format!("survey '{}'", head.declaration.name);
     let mut segment = SegmentWriter::create(&Void, u32::MAX, SegmentKind::Survey)?;
-    let cache = block_cache(256 << 20);
+    let cache = block_cache(64 << 20);
     let tiles = head
         .tiles
         .iter()

@@ -6,6 +6,7 @@ use super::contradictions::Arriving;
 use super::head::{Declaration, Head, Tile, check_world};
 use super::reader::block_cache;
 use super::root::{Root, SurveyEntry};
+use super::settling::SettlingSegment;
 use super::tile::Directory;
 use super::update::{Changes, Draft, Rebuilt};
 use super::view::{Tables, View};
@@ -19,6 +20,9 @@ use crate::store::segment::{PageRef, Pages, SegmentKind, SegmentWriter, file_nam
 use crate::store::table::PageList;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+
+/// Bytes of decoded blocks of samples that a commit keeps: what lies around the squares that its threads work on.
+const BLOCK_BYTES: u64 = 64 << 20;
 
 /// What a commit does to the set of surveys.
 #[derive(Default)]
@@ -52,6 +56,9 @@ pub(super) struct Retiled {
     pub since: u64,
 }
 
+/// Tells the blocks of the survey that is built from others in the cache of a commit: there are no others.
+const STAMP: u64 = 0;
+
 impl Writing {
     /// Derives and writes a version.
     pub fn commit(&mut self, call: &Call, plan: Plan) -> Result<Outcome> {
@@ -69,14 +76,14 @@ impl Writing {
             e.geometry.precedence = db.policy().precedence(e.date, e.precedence);
             entries.insert(e.number, e);
         }
-        let mut survey_segment = None;
+        let (mut survey_segment, mut survey_bytes) = (None, 0);
         let mut rebuilt = None;
         let (mut resampling, mut contradictions) = (None, Vec::new());
         let mut subject = gone.iter().chain(&attributes).next().map(|e| e.number);
         if let Some(r) = retiled {
             let (date, precedence, since) = (r.date, r.precedence, r.since);
             let mut segment = r.segment;
-            let cache = block_cache(256 << 20);
+            let cache = block_cache(BLOCK_BYTES);
             let mut tiles = r.tiles;
             tiles.sort_by_key(|t| std::cmp::Reverse(t.key));
             let layered_directory = |t: &Tile| -> Result<Arc<Directory>> {
@@ -103,7 +110,7 @@ impl Writing {
                 dirty: r.dirty,
                 compare: r.compare,
                 cache: &cache,
-                stamp: 0,
+                stamp: STAMP,
             };
             let compare = r.compare;
             let Built { head, pages, changed, dead: built_dead, dirty, resampling: found } =
@@ -117,6 +124,8 @@ impl Writing {
                     pages: &pages,
                     dirty,
                     segment: &segment,
+                    blocks: &cache,
+                    stamp: STAMP,
                 };
                 contradictions = self.contradictions(&new, db.unit(), db.crs().unit)?;
             }
@@ -148,7 +157,10 @@ impl Writing {
                 },
             );
             warnings.extend(coarser(&entries, r.survey));
-            survey_segment = Some(segment);
+            survey_bytes = segment.len();
+            if !call.dry_run {
+                survey_segment = Some(SettlingSegment::start(segment)?);
+            }
             rebuilt = Some(Rebuilt { survey: r.survey, pages, changed });
             subject = Some(r.survey);
         }
@@ -156,7 +168,7 @@ impl Writing {
         let changes = draft.derive(rebuilt, progress)?;
 
         // Write what the set makes of it.
-        let derived_number = self.counters.file + 1 + u32::from(survey_segment.is_some());
+        let derived_number = self.counters.file + 1 + u32::from(survey_bytes > 0);
         let mut derived = SegmentWriter::create(db.disk(), derived_number, SegmentKind::Derived)?;
         let entries = write_tops(view, &draft, &changes, &mut derived, &mut dead)?;
         let live_before: u64 = view.entries().values().map(|e| e.live).sum();
@@ -173,7 +185,7 @@ impl Writing {
         let root = Root { surveys: entries.values().cloned().collect(), tree: Some(tree) };
         let root_at = derived.append(&root.encode())?;
 
-        let written = survey_segment.as_ref().map_or(0, SegmentWriter::len) + derived.len();
+        let written = survey_bytes + derived.len();
         let mut outcome = Outcome {
             changed: true,
             tops_computed: changes.computed,
@@ -206,7 +218,7 @@ impl Writing {
         }
         progress.step("committing", 0.0)?;
         let new_survey = subject.map_or(0, |s| s.0);
-        let segments = survey_segment.into_iter().chain([derived]).collect();
+        let segments = survey_segment.into_iter().chain([SettlingSegment::start(derived)?]).collect();
         self.publish(
             db,
             Publication {

@@ -4,6 +4,7 @@ use super::backup::{BackupOutcome, Destination};
 use super::change::Progress;
 use super::database::{Db, IDENTITY, new_identity};
 use super::relocate::Relocation;
+use super::settling::SettlingSegment;
 use super::view::View;
 use super::writing::{Publication, Writing};
 use crate::base::{Error, Result};
@@ -120,6 +121,7 @@ impl Writing {
         outcome.bytes_to_prune = chosen.iter().map(|f| f.length).sum();
         progress.step("committing", 0.0)?;
         let action = format!("compact {} file{}", chosen.len(), if chosen.len() == 1 { "" } else { "s" });
+        let segments = segments.into_iter().map(SettlingSegment::start).collect::<Result<_>>()?;
         outcome.version =
             self.publish(db, Publication { segments, root, dead: gone, survey: 0, action, operation: None })?;
         outcome.changed = true;

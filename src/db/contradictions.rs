@@ -7,7 +7,7 @@
 
 use super::database::Snapshot;
 use super::head::{Declaration, Head};
-use super::reader::{SampleReader, block_cache};
+use super::reader::{BlockCache, SampleReader};
 use super::tile::Directory;
 use super::triangles::metres_per_unit;
 use super::view::{Rules, Tables, View};
@@ -130,15 +130,19 @@ impl<'a> Side<'a> {
     }
 }
 
-/// Reads single posts; keeps the block met last.
+/// Reads the level-0 surface point by point; keeps the block met last.
 struct Cursor<'a> {
     samples: &'a SampleReader<'a>,
+    /// Block indices, and the block if anything in it is valid.
     last: Option<([i64; 2], Option<Arc<Heights>>)>,
 }
 
-impl Cursor<'_> {
-    fn post(&mut self, i: i64, j: i64) -> Result<Option<f64>> {
-        let at = [i.div_euclid(BLOCK), j.div_euclid(BLOCK)];
+impl<'a> Cursor<'a> {
+    fn new(samples: &'a SampleReader<'a>) -> Cursor<'a> {
+        Cursor { samples, last: None }
+    }
+
+    fn block(&mut self, at: [i64; 2]) -> Result<Option<&Heights>> {
         if self.last.as_ref().is_none_or(|(k, _)| *k != at) {
             let block = match self.samples.is_void(at[0], at[1])? {
                 true => None,
@@ -146,9 +150,36 @@ impl Cursor<'_> {
             };
             self.last = Some((at, block));
         }
-        let Some((_, Some(b))) = &self.last else { return Ok(None) };
-        let (a, c) = ((i - at[0] * BLOCK) as usize, (j - at[1] * BLOCK) as usize);
-        Ok(b.is_valid(a, c).then(|| b.z[c * BLOCK as usize + a]))
+        Ok(self.last.as_ref().and_then(|(_, b)| b.as_deref()))
+    }
+
+    /// The posts (i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1); NaN for those that are void. Those of weight 0 need not be
+    /// read, and may be NaN, too.
+    fn posts(&mut self, i: i64, j: i64, weights: &[f64; 4]) -> Result<[f64; 4]> {
+        const N: usize = BLOCK as usize;
+        let at = [i.div_euclid(BLOCK), j.div_euclid(BLOCK)];
+        let (a, b) = ((i - at[0] * BLOCK) as usize, (j - at[1] * BLOCK) as usize);
+        if a + 1 < N && b + 1 < N {
+            let Some(block) = self.block(at)? else { return Ok([f64::NAN; 4]) };
+            let k = b * N + a;
+            let around = [k, k + 1, k + N, k + N + 1];
+            return Ok(match &block.valid {
+                None => around.map(|k| block.z[k]),
+                Some(valid) => around.map(|k| if valid[k] != 0 { block.z[k] } else { f64::NAN }),
+            });
+        }
+        let mut z = [f64::NAN; 4];
+        for (k, z) in z.iter_mut().enumerate().filter(|(k, _)| weights[*k] > 0.0) {
+            let (i, j) = (i + k as i64 % 2, j + k as i64 / 2);
+            let at = [i.div_euclid(BLOCK), j.div_euclid(BLOCK)];
+            if let Some(block) = self.block(at)? {
+                let (a, b) = ((i - at[0] * BLOCK) as usize, (j - at[1] * BLOCK) as usize);
+                if block.is_valid(a, b) {
+                    *z = block.z[b * N + a];
+                }
+            }
+        }
+        Ok(z)
     }
 
     /// The bilinear height at index coordinates, if every post that has weight is valid.
@@ -156,20 +187,25 @@ impl Cursor<'_> {
         // Closer to a post line than this is on it: index coordinates are good to 1e-6 of a cell.
         const ON: f64 = 1e-6;
         let split = |v: f64| {
-            let n = v.round();
-            if (v - n).abs() < ON { (n as i64, 0.0) } else { (v.floor() as i64, v - v.floor()) }
+            // The whole part, by integers: indices are far below 2^53, and rounding to a float is a call on most machines.
+            let n = v as i64 - i64::from(v as i64 as f64 > v);
+            let part = v - n as f64;
+            match () {
+                () if part < ON => (n, 0.0),
+                () if (n + 1) as f64 - v < ON => (n + 1, 0.0),
+                () => (n, part),
+            }
         };
         let ((a, x), (b, y)) = (split(i), split(j));
+        let weights = [(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y];
+        let posts = self.posts(a, b, &weights)?;
         let mut z = 0.0;
-        for (k, w) in [(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y].into_iter().enumerate() {
+        for (w, h) in weights.into_iter().zip(posts) {
             if w > 0.0 {
-                match self.post(a + k as i64 % 2, b + k as i64 / 2)? {
-                    Some(h) => z += w * h,
-                    None => return Ok(None),
-                }
+                z += w * h;
             }
         }
-        Ok(Some(z))
+        Ok((!z.is_nan()).then_some(z))
     }
 }
 
@@ -233,8 +269,8 @@ fn compare(
     let mut difference = vec![f32::NAN; cols * rows];
     let chunk = |first: usize, lines: &mut [f32]| -> Result<Sums> {
         let mut sums = Sums::default();
-        let mut on_g = Cursor { samples: g.samples, last: None };
-        let mut on_h = Cursor { samples: h.samples, last: None };
+        let mut on_g = Cursor::new(g.samples);
+        let mut on_h = Cursor::new(h.samples);
         for from in (0..cols).step_by(RUN) {
             for row in 0..lines.len() / cols {
                 for col in from..(from + RUN).min(cols) {
@@ -252,16 +288,17 @@ fn compare(
                     let k = metres_per_unit(axis, at);
                     let contradicts = d.abs() > allowed;
                     let area = cell_units * k[0] * k[1];
-                    sums = sums.and(&Sums {
-                        cells: 1,
-                        contradicted: u64::from(contradicts),
-                        area,
-                        area_contradicted: if contradicts { area } else { 0.0 },
-                        sum: d,
-                        squares: d * d,
-                        largest: d,
-                        at,
-                    });
+                    sums.cells += 1;
+                    sums.area += area;
+                    sums.sum += d;
+                    sums.squares += d * d;
+                    if contradicts {
+                        sums.contradicted += 1;
+                        sums.area_contradicted += area;
+                    }
+                    if d.abs() > sums.largest.abs() {
+                        (sums.largest, sums.at) = (d, at);
+                    }
                 }
             }
         }
@@ -349,6 +386,9 @@ pub(super) struct Arriving<'a> {
     pub dirty: CellRect,
     /// Where new pages are.
     pub segment: &'a SegmentWriter,
+    /// Its decoded blocks, from when it was built.
+    pub blocks: &'a BlockCache,
+    pub stamp: u64,
 }
 
 impl Writing {
@@ -376,8 +416,8 @@ impl Writing {
             declaration,
             tiles: new.head.tiles.iter().zip(new.directories.iter().cloned()).collect(),
             levels: &levels,
-            cache: &block_cache(128 << 20),
-            stamp: 0,
+            cache: new.blocks,
+            stamp: new.stamp,
         };
         let side = Side::new(declaration, new.head.own_posts(), &samples);
         let window = new.dirty.grow(1);

@@ -7,6 +7,7 @@
 //! - [`contributions`], [`Snapshot::provenance`]: what each survey gives;
 //! - [`verify`]: everything that can be checked; [`fingerprint`]: one hash of the logical content.
 
+mod alone;
 mod area;
 mod arrive;
 mod awaiting;
@@ -23,6 +24,7 @@ mod database;
 mod declare;
 mod errors;
 mod export;
+mod finest;
 mod fingerprint;
 mod footprint;
 mod head;
@@ -45,6 +47,7 @@ mod resample;
 mod root;
 mod seams;
 mod selection;
+mod settling;
 mod subset;
 mod tile;
 mod triangles;

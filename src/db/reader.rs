@@ -59,6 +59,17 @@ enum Voids {
     AllAsNan,
 }
 
+/// Gives heights to the vertices of a patch that have neither a sample nor a fill (NaN).
+pub fn close(kind: Kind, z: &mut Vertices) {
+    let mut open = [false; SIDE * SIDE];
+    for (z, open) in z.iter_mut().zip(&mut open).filter(|(z, _)| z.is_nan()) {
+        (*z, *open) = (0.0, true);
+    }
+    if kind == Kind::Bicubic {
+        bicubic::extend(z, &mut open);
+    }
+}
+
 /// The samples of one survey. Where it was delivered in another system, its posts are resampled ones: they are found like
 /// the levels above them, and the tiles hold what they were made of.
 pub struct SampleReader<'a> {
@@ -123,15 +134,55 @@ impl SampleReader<'_> {
         Ok((self.levels)(0, bi, bj)?.is_none())
     }
 
+    /// Whether no block of posts in a rectangle of blocks holds a valid sample.
+    pub fn posts_are_void(&self, blocks: &CellRect) -> Result<bool> {
+        for bj in blocks.j0..blocks.j1 {
+            for bi in blocks.i0..blocks.i1 {
+                if !self.is_void(bi, bj)? {
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+
     /// Whether no tile holds a valid sample near a rectangle of delivered posts: false may be wrong, true is not.
     pub fn delivered_is_void(&self, r: &CellRect) -> bool {
         let b = super::tile::blocks_of(r);
         (b.j0..b.j1).all(|bj| (b.i0..b.i1).all(|bi| self.tiles_are_void(bi, bj)))
     }
 
+    /// Raw blocks of a level, in the order in which they are laid.
+    pub fn raw_blocks(&self, level: u8, bi: i64, bj: i64) -> Result<Vec<RawBlock>> {
+        if level == 0 {
+            return self.post_blocks(bi, bj);
+        }
+        (self.levels)(level, bi, bj)?.map(|at| self.raw(&at)).into_iter().collect()
+    }
+
+    /// Keeps a block of posts for who reads it next, made of its raw blocks.
+    pub fn keep_posts(&self, bi: i64, bj: i64, raws: &[RawBlock]) {
+        let key = (self.stamp, 0, bi, bj);
+        if self.cache.get(&key).is_none() {
+            let mut h = Heights::void();
+            for raw in raws {
+                h.lay(raw, self.declaration.scale, self.declaration.offset);
+            }
+            self.cache.insert(key, Arc::new(h));
+        }
+    }
+
     /// A decoded block of a level. A block that does not exist is all void.
     pub fn block(&self, level: u8, bi: i64, bj: i64) -> Result<Arc<Heights>> {
         self.decoded(Layer::Level(level), bi, bj)
+    }
+
+    /// A block of posts that is looked at once: if it is not kept, it does not push out what is.
+    pub fn passing_posts(&self, bi: i64, bj: i64) -> Result<Arc<Heights>> {
+        match self.cache.get(&(self.stamp, 0, bi, bj)) {
+            Some(b) => Ok(b),
+            None => self.laid(Layer::Level(0), bi, bj).map(Arc::new),
+        }
     }
 
     fn decoded(&self, layer: Layer, bi: i64, bj: i64) -> Result<Arc<Heights>> {
@@ -140,9 +191,10 @@ impl SampleReader<'_> {
             Layer::Level(l) => l,
         };
         let key = (self.stamp, level, bi, bj);
-        if let Some(b) = self.cache.get(&key) {
-            return Ok(b);
-        }
+        self.cache.or_read(key, || self.laid(layer, bi, bj).map(Arc::new))
+    }
+
+    fn laid(&self, layer: Layer, bi: i64, bj: i64) -> Result<Heights> {
         let d = self.declaration;
         let mut h = Heights::void();
         match layer {
@@ -152,19 +204,12 @@ impl SampleReader<'_> {
                     h.lay(&raw, delivered.scale, delivered.offset);
                 }
             }
-            Layer::Level(0) => {
-                for raw in self.post_blocks(bi, bj)? {
+            Layer::Level(l) => {
+                for raw in self.raw_blocks(l, bi, bj)? {
                     h.lay(&raw, d.scale, d.offset);
                 }
             }
-            Layer::Level(l) => {
-                if let Some(at) = (self.levels)(l, bi, bj)? {
-                    h.lay(&self.raw(&at)?, d.scale, d.offset);
-                }
-            }
         }
-        let h = Arc::new(h);
-        self.cache.insert(key, h.clone());
         Ok(h)
     }
 
@@ -180,11 +225,7 @@ impl SampleReader<'_> {
             Kind::Bilinear => self.copy(layer, i0, j0, SIDE, SIDE, &mut z[..], Voids::AsStored)?,
             Kind::Bicubic => {
                 self.copy(layer, i0, j0, SIDE, SIDE, &mut z[..], Voids::OpenAsNan)?;
-                let mut open = [false; SIDE * SIDE];
-                for (z, open) in z.iter_mut().zip(&mut open).filter(|(z, _)| z.is_nan()) {
-                    (*z, *open) = (0.0, true);
-                }
-                bicubic::extend(&mut z, &mut open);
+                close(kind, &mut z);
             }
         }
         Ok(z)
@@ -192,25 +233,32 @@ impl SampleReader<'_> {
 
     /// A rectangle of posts (level 0), voids as NaN.
     pub fn posts(&self, r: &CellRect) -> Result<Vec<f64>> {
-        self.rectangle(Layer::Level(0), r)
+        let mut z = Vec::new();
+        self.rectangle(Layer::Level(0), r, Voids::AllAsNan, &mut z)?;
+        Ok(z)
+    }
+
+    /// The same, into memory that was used before.
+    pub fn posts_into(&self, r: &CellRect, z: &mut Vec<f64>) -> Result<()> {
+        self.rectangle(Layer::Level(0), r, Voids::AllAsNan, z)
     }
 
     /// A rectangle of delivered heights, voids as NaN.
     pub fn delivered_posts(&self, r: &CellRect) -> Result<Vec<f64>> {
-        self.rectangle(Layer::Delivered, r)
-    }
-
-    fn rectangle(&self, layer: Layer, r: &CellRect) -> Result<Vec<f64>> {
-        let (cols, rows) = (r.width() as usize, r.height() as usize);
-        let mut z = vec![0.0; cols * rows];
-        self.copy(layer, r.i0, r.j0, cols, rows, &mut z, Voids::AllAsNan)?;
+        let mut z = Vec::new();
+        self.rectangle(Layer::Delivered, r, Voids::AllAsNan, &mut z)?;
         Ok(z)
     }
 
-    /// One row of vertices of a level.
-    pub fn line(&self, level: u8, i0: i64, j: i64, out: &mut [f64]) -> Result<()> {
-        let n = out.len();
-        self.copy(Layer::Level(level), i0, j, n, 1, out, Voids::AsStored)
+    /// A rectangle of vertices of a level, fills for voids, 0 where there is none; into memory that was used before.
+    pub fn vertices_into(&self, level: u8, r: &CellRect, z: &mut Vec<f64>) -> Result<()> {
+        self.rectangle(Layer::Level(level), r, Voids::AsStored, z)
+    }
+
+    fn rectangle(&self, layer: Layer, r: &CellRect, voids: Voids, z: &mut Vec<f64>) -> Result<()> {
+        let (cols, rows) = (r.width() as usize, r.height() as usize);
+        z.resize(cols * rows, 0.0);
+        self.copy(layer, r.i0, r.j0, cols, rows, z, voids)
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -248,29 +296,5 @@ impl SampleReader<'_> {
             }
         }
         Ok(())
-    }
-
-    /// Validity of posts around a level-0 kernel rectangle: 31 rows of 31 bits, from one post before it.
-    pub fn validity(&self, place: Place) -> Result<[u32; 31]> {
-        let r = place.rect();
-        let (i0, j0) = (r.i0 - 1, r.j0 - 1);
-        let mut bits = [0u32; 31];
-        for bj in j0.div_euclid(BLOCK)..=(j0 + 30).div_euclid(BLOCK) {
-            for bi in i0.div_euclid(BLOCK)..=(i0 + 30).div_euclid(BLOCK) {
-                if self.is_void(bi, bj)? {
-                    continue;
-                }
-                let block = self.block(0, bi, bj)?;
-                let (ci, cj) = (bi * BLOCK, bj * BLOCK);
-                for j in j0.max(cj)..(j0 + 31).min(cj + BLOCK) {
-                    for i in i0.max(ci)..(i0 + 31).min(ci + BLOCK) {
-                        if block.is_valid((i - ci) as usize, (j - cj) as usize) {
-                            bits[(j - j0) as usize] |= 1 << (i - i0);
-                        }
-                    }
-                }
-            }
-        }
-        Ok(bits)
     }
 }

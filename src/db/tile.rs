@@ -6,9 +6,10 @@ use crate::base::bytes::{Put, Reader};
 use crate::base::{Error, Result, limits};
 use crate::height::block::{BLOCK, RawBlock, encode};
 use crate::height::frame::CellRect;
-use crate::height::source::{HeightSource, Window};
+use crate::height::source::{HeightSource, SampleType, SourceInfo, Window};
 use crate::store::segment::{PageRef, SegmentWriter};
 use rayon::prelude::*;
+use std::collections::VecDeque;
 
 /// Where the level-0 blocks of a tile are.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +28,20 @@ pub fn blocks_of(posts: &CellRect) -> CellRect {
         (posts.i1 - 1).div_euclid(BLOCK) + 1,
         (posts.j1 - 1).div_euclid(BLOCK) + 1,
     )
+}
+
+/// The posts of a block.
+pub fn posts_of(bi: i64, bj: i64) -> CellRect {
+    CellRect::new(bi * BLOCK, bj * BLOCK, (bi + 1) * BLOCK, (bj + 1) * BLOCK)
+}
+
+/// The indices of a rectangle along a Z-curve. Who goes that way meets what lies side by side soon after one another,
+/// so a cache serves that is small against a row of the rectangle.
+pub fn along_curve(r: &CellRect) -> Vec<(i64, i64)> {
+    let spread = |v: i64| (0..32).fold(0u64, |s, k| s | (v as u64 >> k & 1) << (2 * k));
+    let mut all: Vec<(i64, i64)> = (r.j0..r.j1).flat_map(|j| (r.i0..r.i1).map(move |i| (i, j))).collect();
+    all.sort_by_cached_key(|(i, j)| spread(i - r.i0) | spread(j - r.j0) << 1);
+    all
 }
 
 impl Directory {
@@ -64,7 +79,115 @@ impl Directory {
     }
 }
 
-/// Reads a source once, top to bottom, and writes its blocks. Holds one row of blocks at a time.
+/// Some rows of a source.
+struct Rows {
+    /// Rows of the file: `[first, end)`.
+    first: u64,
+    end: u64,
+    data: Vec<u8>,
+    /// One byte a post, 0 = void; `None` = all valid.
+    valid: Option<Vec<u8>>,
+}
+
+/// A source that is read from the top, batch by batch, and what the key of its tile hashes.
+struct Reading<'a> {
+    source: &'a mut dyn HeightSource,
+    info: &'a SourceInfo,
+    /// Rows of a batch.
+    batch: usize,
+    /// Rows read so far.
+    next: u64,
+    hash: blake3::Hasher,
+    message: Vec<u8>,
+}
+
+impl Reading<'_> {
+    /// The next batch of rows; `None` at the end of the file.
+    fn rows(&mut self) -> Result<Option<Rows>> {
+        let rows = self.batch.min((self.info.rows - self.next) as usize);
+        if rows == 0 {
+            return Ok(None);
+        }
+        let (cols, width) = (self.info.cols as usize, self.info.sample_type.bytes());
+        let s = self.source.read(Window { col: 0, row: self.next, cols, rows })?;
+        if s.data.len() != cols * rows * width || s.valid.len() != cols * rows {
+            return Err(Error::corrupt(
+                &self.info.file,
+                format!("rows {}..", self.next),
+                "the source returned another extent",
+            ));
+        }
+        // The message of a batch lies in one piece: blake3 takes several of its chunks side by side.
+        self.message.clear();
+        for (data, valid) in s.data.chunks_exact(cols * width).zip(s.valid.chunks_exact(cols)) {
+            self.message.extend_from_slice(data);
+            put_bits(&mut self.message, valid);
+        }
+        self.hash.put(&self.message);
+        let first = self.next;
+        self.next += rows as u64;
+        let valid = s.valid.contains(&0).then_some(s.valid);
+        Ok(Some(Rows { first, end: self.next, data: s.data, valid }))
+    }
+}
+
+/// One bit a post, eight to a byte, lowest first.
+fn put_bits(out: &mut Vec<u8>, valid: &[u8]) {
+    if valid.contains(&0) {
+        let bits = |c: &[u8]| c.iter().enumerate().fold(0, |b, (k, v)| b | u8::from(*v != 0) << k);
+        out.extend(valid.chunks(8).map(bits));
+    } else {
+        out.resize(out.len() + valid.len() / 8, 0xff);
+        if !valid.len().is_multiple_of(8) {
+            out.put_u8((1 << (valid.len() % 8)) - 1);
+        }
+    }
+}
+
+/// A block of a tile, ready to be written.
+struct Packed {
+    bytes: Vec<u8>,
+    valid: u32,
+    /// Least and greatest sample, as stored.
+    span: [f64; 2],
+}
+
+/// Packs the posts `r` of one block out of rows that hold them. `posts` are those of the whole file.
+fn pack(held: &VecDeque<Rows>, posts: &CellRect, r: &CellRect, sample_type: SampleType) -> Packed {
+    const ALL_VALID: [u8; (BLOCK * BLOCK) as usize] = [1; (BLOCK * BLOCK) as usize];
+    let width = sample_type.bytes();
+    let stride = posts.width() as usize;
+    let (cols, rows) = (r.width() as usize, r.height() as usize);
+    let (col, row0, row1) = ((r.i0 - posts.i0) as usize, (r.j0 - posts.j0) as u64, (r.j1 - posts.j0) as u64);
+    let mut samples = Vec::with_capacity(cols * rows * width);
+    let mut valid = Vec::new();
+    let near = || held.iter().filter(|b| b.first < row1 && row0 < b.end);
+    let voids = near().any(|b| b.valid.is_some());
+    for b in near() {
+        for row in row0.max(b.first)..row1.min(b.end) {
+            let at = (row - b.first) as usize * stride + col;
+            samples.extend_from_slice(&b.data[at * width..(at + cols) * width]);
+            if voids {
+                valid.extend_from_slice(b.valid.as_ref().map_or(&ALL_VALID[..cols], |v| &v[at..at + cols]));
+            }
+        }
+    }
+    let (count, span) = sample_type.span(&samples, if voids { &valid } else { &ALL_VALID[..cols * rows] });
+    let raw = RawBlock {
+        col: r.i0.rem_euclid(BLOCK) as usize,
+        row: r.j0.rem_euclid(BLOCK) as usize,
+        cols,
+        rows,
+        sample_type,
+        samples,
+        valid: valid.contains(&0).then_some(valid),
+        fills: Vec::new(),
+    };
+    Packed { bytes: encode(&raw), valid: count as u32, span }
+}
+
+/// Reads a source once, top to bottom, and writes its blocks: while a batch of rows is read, the blocks that the rows
+/// before it complete are packed. Holds two batches and a row of blocks.
 pub fn write_tile(
     source: &mut dyn HeightSource,
     declaration: &Declaration,
@@ -76,85 +199,42 @@ pub fn write_tile(
     let posts = CellRect::new(first[0], first[1], first[0] + info.cols as i64, first[1] + info.rows as i64);
     let blocks = blocks_of(&posts);
     let delivered = declaration.delivered();
-    let width = delivered.sample_type.bytes();
-    let cols = info.cols as usize;
     let mut hash = blake3::Hasher::new();
     hash.put(b"terraquilt tile 1");
     put_rect(&mut hash, &posts);
+    let most = (limits::WINDOW_POSTS_MAX / info.cols.max(1)).max(1) as usize;
+    let batch = source.row_batch().clamp(1, most);
+    let mut reading = Reading { source, info: &info, batch, next: 0, hash, message: Vec::new() };
     let mut pages = Vec::with_capacity((blocks.width() * blocks.height()) as usize);
     let (mut valid_count, mut z) = (0u64, [f64::INFINITY, f64::NEG_INFINITY]);
-    // Rows read but not yet written: from row `held_from` of the file.
-    let (mut held, mut mask, mut held_from) = (Vec::<u8>::new(), Vec::<u8>::new(), 0u64);
-    let batch = source.row_batch().clamp(1, (limits::WINDOW_POSTS_MAX as usize / cols.max(1)).max(1));
-    let mut next = 0u64;
-    for bj in blocks.j0..blocks.j1 {
-        let row0 = (bj * BLOCK).max(posts.j0) - posts.j0;
-        let row1 = ((bj + 1) * BLOCK).min(posts.j1) - posts.j0;
-        while (next as i64) < row1 {
-            let rows = batch.min((info.rows - next) as usize);
-            let s = source.read(Window { col: 0, row: next, cols, rows })?;
-            if s.data.len() != cols * rows * width || s.valid.len() != cols * rows {
-                return Err(Error::corrupt(
-                    &info.file,
-                    format!("rows {next}.."),
-                    "the source returned another extent",
-                ));
-            }
-            for r in 0..rows {
-                hash.put(&s.data[r * cols * width..(r + 1) * cols * width]);
-                let bits: Vec<u8> = s.valid[r * cols..(r + 1) * cols]
-                    .chunks(8)
-                    .map(|c| c.iter().enumerate().fold(0, |b, (k, v)| b | u8::from(*v != 0) << k))
-                    .collect();
-                hash.put(&bits);
-            }
-            for (k, v) in s.valid.iter().enumerate() {
-                if *v != 0 {
-                    valid_count += 1;
-                    let h = delivered.sample_type.value(&s.data[k * width..]);
-                    z = [z[0].min(h), z[1].max(h)];
-                }
-            }
-            held.extend_from_slice(&s.data);
-            mask.extend_from_slice(&s.valid);
-            next += rows as u64;
-            progress.step("reading", next as f64 / info.rows as f64)?;
-        }
-        let rows = (row1 - row0) as usize;
-        let skip = (row0 as u64 - held_from) as usize * cols;
-        let packed: Vec<(Vec<u8>, u32)> = (blocks.i0..blocks.i1)
-            .into_par_iter()
-            .map(|bi| {
-                let c0 = ((bi * BLOCK).max(posts.i0) - posts.i0) as usize;
-                let c1 = (((bi + 1) * BLOCK).min(posts.i1) - posts.i0) as usize;
-                let n = c1 - c0;
-                let mut samples = Vec::with_capacity(n * rows * width);
-                let mut valid = Vec::with_capacity(n * rows);
-                for r in 0..rows {
-                    let at = skip + r * cols + c0;
-                    samples.extend_from_slice(&held[at * width..(at + n) * width]);
-                    valid.extend_from_slice(&mask[at..at + n]);
-                }
-                let raw = RawBlock {
-                    col: (posts.i0 + c0 as i64).rem_euclid(BLOCK) as usize,
-                    row: (posts.j0 + row0).rem_euclid(BLOCK) as usize,
-                    cols: n,
-                    rows,
-                    sample_type: delivered.sample_type,
-                    samples,
-                    valid: valid.contains(&0).then_some(valid),
-                    fills: Vec::new(),
-                };
-                (encode(&raw), raw.valid_count())
-            })
+    let mut held: VecDeque<Rows> = VecDeque::new();
+    let mut came = reading.rows()?;
+    let mut bj = blocks.j0;
+    while bj < blocks.j1 {
+        held.extend(came);
+        progress.step("reading", reading.next as f64 / info.rows as f64)?;
+        // Rows of blocks that are complete now.
+        let end = posts.j0 + reading.next as i64;
+        let stop = if end == posts.j1 { blocks.j1 } else { end.div_euclid(BLOCK).max(bj) };
+        let whole: Vec<CellRect> = (bj..stop)
+            .flat_map(|bj| (blocks.i0..blocks.i1).map(move |bi| (bi, bj)))
+            .map(|(bi, bj)| posts_of(bi, bj).intersect(&posts))
             .collect();
-        for (bytes, valid) in packed {
-            pages.push((out.append(&bytes)?, valid));
+        let (packed, next) = rayon::join(
+            || whole.par_iter().map(|r| pack(&held, &posts, r, delivered.sample_type)).collect::<Vec<_>>(),
+            || reading.rows(),
+        );
+        for p in packed {
+            pages.push((out.append(&p.bytes)?, p.valid));
+            valid_count += u64::from(p.valid);
+            z = [z[0].min(p.span[0]), z[1].max(p.span[1])];
         }
-        let done = (row1 as u64 - held_from) as usize * cols;
-        held.drain(..done * width);
-        mask.drain(..done);
-        held_from = row1 as u64;
+        bj = stop;
+        let done = bj * BLOCK - posts.j0;
+        while held.front().is_some_and(|b| b.end as i64 <= done) {
+            held.pop_front();
+        }
+        came = next?;
     }
     let to_height = |v: f64| v * delivered.scale + delivered.offset;
     let (a, b) = (to_height(z[0]), to_height(z[1]));
@@ -172,7 +252,7 @@ pub fn write_tile(
     }
     let directory = out.append(&Directory { blocks, pages }.encode())?;
     Ok(Tile {
-        key: hash.finalize().as_bytes()[..16].try_into().expect("a hash has 32 bytes"),
+        key: reading.hash.finalize().as_bytes()[..16].try_into().expect("a hash has 32 bytes"),
         posts,
         directory,
         valid: valid_count,

@@ -98,6 +98,12 @@ impl<'a> Draft<'a> {
         Draft { base, entries, index, patches: HashMap::new(), tops: HashMap::new() }
     }
 
+    /// Lays pages over those of the base.
+    pub(super) fn lay(&mut self, s: SurveyNumber, at: PageAddress, page: Arc<PatchPage>, tops: Arc<TopPage>) {
+        self.patches.insert((s, at), Some(page));
+        self.tops.insert((s, at), Some(tops));
+    }
+
     fn geometry_either(&self, s: SurveyNumber) -> &Geometry {
         match self.entries.get(&s) {
             Some(e) => &e.geometry,
@@ -119,6 +125,10 @@ impl<'a> Draft<'a> {
     /// `rebuilt`: the survey whose samples changed, if any. Surveys in the base but not in the draft went; surveys
     /// whose precedence differs were re-ranked.
     pub fn derive(&mut self, rebuilt: Option<Rebuilt>, progress: &Progress) -> Result<Changes> {
+        let rebuilt = match rebuilt {
+            Some(r) if self.is_alone(&r) => return self.derive_alone(r, progress),
+            other => other,
+        };
         let mut out = Changes::default();
         let mut moved: Moved = HashMap::new();
         let mut changed: Vec<(SurveyNumber, Place, Option<PatchEntry>, Option<PatchEntry>)> = Vec::new();

@@ -33,7 +33,8 @@ impl Index {
         Index(RTree::bulk_load(boxes.collect()))
     }
 
-    fn meeting(&self, b: &Bounds) -> Vec<SurveyNumber> {
+    /// Surveys whose boxes may meet `b`, ascending.
+    pub(super) fn meeting(&self, b: &Bounds) -> Vec<SurveyNumber> {
         let (min, max) = corners(b);
         let mut out: Vec<SurveyNumber> =
             self.0.locate_in_envelope_intersecting(AABB::from_corners(min, max)).map(|g| g.data).collect();

@@ -1,18 +1,19 @@
 //! The writer's side of a database: the lock, what a dead writer left, and making a version visible.
 
-use super::database::Db;
+use super::database::{Db, Writer};
+use super::settling::{Settling, SettlingSegment, name_all};
 use super::view::View;
 use crate::base::{Error, Result};
-use crate::store::catalog::{Catalog, Commit, Counters, NamedFile, Version};
+use crate::store::catalog::{Commit, Counters, NamedFile, Version};
 use crate::store::lock::{WriterLock, leased};
 use crate::store::record::{VersionRecord, record_name, version_of_name};
-use crate::store::segment::{Files, PageRef, SegmentWriter, file_name};
+use crate::store::segment::{Files, PageRef, file_name};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 /// What a commit makes visible.
 pub(super) struct Publication<'a> {
     /// Segments that were written for it.
-    pub segments: Vec<SegmentWriter>,
+    pub segments: Vec<SettlingSegment>,
     pub root: PageRef,
     /// Pages of the version before that this one does not read.
     pub dead: Vec<PageRef>,
@@ -24,9 +25,10 @@ pub(super) struct Publication<'a> {
 
 /// The writer's side of one commit.
 pub(super) struct Writing {
+    /// Goes back to the database before the lock is given up.
+    pub catalog: Writer,
     #[allow(dead_code, reason = "held for its effect until the commit is over")]
     lock: WriterLock,
-    pub catalog: Box<dyn Catalog>,
     pub view: View,
     pub version: Option<Version>,
     /// Files of the version, ascending.
@@ -46,9 +48,11 @@ impl Db {
             Some(v) => catalog.files(v.number)?,
             None => Vec::new(),
         };
-        let view = View::open(
+        // With the caches of the database: a commit reads what was asked for a moment ago, and what it reads will be.
+        let view = View::sharing(
             Files::new(self.shared_disk(), files.iter().map(|f| (f.number, f.length))),
             version.as_ref().map(|v| v.root),
+            self.caches(),
         )?;
         let counters = catalog.counters()?;
         let mut writing = Writing { lock, catalog, view, version, files, counters, swept: 0 };
@@ -115,7 +119,7 @@ impl Writing {
                 continue;
             }
             let files = self.catalog.files(version.number)?;
-            self.record(version, files, self.counters)?.write(db.disk())?;
+            self.record(version, files, self.counters)?.write(db.disk())?.finish(db.disk())?;
         }
         Ok(())
     }
@@ -130,12 +134,11 @@ impl Writing {
         let mut live: HashMap<u32, (u64, u64)> =
             self.files.iter().map(|f| (f.number, (f.length, f.live))).collect();
         let mut last = self.counters.file;
-        for segment in p.segments {
-            let number = segment.number();
-            let pages = segment.len() - crate::store::segment::HEADER_BYTES;
-            let length = segment.finish(db.disk())?;
-            live.insert(number, (length, pages));
+        let mut settling = Vec::new();
+        for SettlingSegment { number, length, file } in p.segments {
+            live.insert(number, (length, length - crate::store::segment::HEADER_BYTES));
             last = last.max(number);
+            settling.push(file);
         }
         for page in p.dead {
             if let Some((_, bytes)) = live.get_mut(&page.file) {
@@ -155,7 +158,10 @@ impl Writing {
         let operation = p.operation.map_or_else(|| format!("commit-{number}"), str::to_string);
         let counters = Counters { file: last, survey: self.counters.survey.max(p.survey), version: number };
         let version = Version { number, operation, made_at, action: p.action, root: p.root };
-        self.record(version.clone(), files.clone(), counters)?.write(db.disk())?;
+        // The record is named last: what it names has its name then, unless the power goes before the names are durable.
+        let record = self.record(version.clone(), files.clone(), counters)?.write(db.disk())?;
+        settling.push(Settling::start(record)?);
+        name_all(settling, db.disk())?;
         self.catalog.commit(&Commit { version, files, counters })?;
         Ok(number)
     }

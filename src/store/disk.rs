@@ -41,6 +41,33 @@ pub trait Growing: Send {
     fn sync(&mut self) -> Result<()>;
 }
 
+/// A file that is whole, but not yet durable nor under its final name.
+pub struct Unnamed {
+    pub(super) file: Box<dyn Growing>,
+    pub(super) temporary: String,
+    pub(super) name: String,
+}
+
+impl Unnamed {
+    /// Makes the bytes durable.
+    pub fn sync(&mut self) -> Result<()> {
+        self.file.sync()
+    }
+
+    /// Gives a synced file its final name: durable after [`Disk::sync_names`].
+    pub fn name(self, disk: &dyn Disk) -> Result<()> {
+        drop(self.file);
+        disk.rename(&self.temporary, &self.name)
+    }
+
+    /// The whole way of one file.
+    pub fn finish(mut self, disk: &dyn Disk) -> Result<()> {
+        self.sync()?;
+        self.name(disk)?;
+        disk.sync_names()
+    }
+}
+
 /// A directory of the operating system.
 pub struct RealDisk {
     root: PathBuf,

@@ -4,7 +4,7 @@
 //! made again from the files. Bytes: `docs/format.md`.
 
 use super::catalog::{Counters, NamedFile, Version};
-use super::disk::Disk;
+use super::disk::{Disk, Unnamed};
 use super::segment::{PageRef, checksum};
 use crate::base::bytes::{Put, Reader};
 use crate::base::{Error, Result, limits};
@@ -124,16 +124,13 @@ impl VersionRecord {
         Ok(VersionRecord { version, files, counters, constants })
     }
 
-    /// Writes the record durably, under its final name when it is whole.
-    pub fn write(&self, disk: &dyn Disk) -> Result<()> {
+    /// Writes the record, under a temporary name.
+    pub fn write(&self, disk: &dyn Disk) -> Result<Unnamed> {
         let name = record_name(self.version.number);
         let temporary = format!("{name}.tmp");
         let mut file = disk.create(&temporary)?;
         file.append(&self.encode())?;
-        file.sync()?;
-        drop(file);
-        disk.rename(&temporary, &name)?;
-        disk.sync_names()
+        Ok(Unnamed { file, temporary, name })
     }
 
     /// Reads the record in a file of `length` bytes.

@@ -3,7 +3,7 @@
 //! A page is found by a [`PageRef`] that carries its checksum, so a page that was damaged *or landed in the
 //! wrong place* is an error on first touch. Bytes are drawn in `docs/format.md`.
 
-use super::disk::{Disk, Finished, Growing};
+use super::disk::{Disk, Finished, Growing, Unnamed};
 use crate::base::bytes::{Put, Reader};
 use crate::base::{Error, Result, limits};
 use std::borrow::Cow;
@@ -121,24 +121,30 @@ pub trait Pages: Sync {
     fn page(&self, at: &PageRef) -> Result<Cow<'_, [u8]>>;
 }
 
+/// Bytes of pages that are gathered before they are written: a page has some kilobytes, a call for each costs more than its bytes.
+const GATHERED_BYTES: usize = 256 << 10;
+
 /// Writes one segment under a temporary name; [`SegmentWriter::finish`] makes it durable under its own.
 pub struct SegmentWriter {
     file: Mutex<Box<dyn Growing>>,
     number: u32,
+    /// Bytes of the segment, those not yet written included.
     offset: u64,
+    /// The last of them: not yet in the file.
+    gathered: Vec<u8>,
 }
 
 impl SegmentWriter {
     pub fn create(disk: &dyn Disk, number: u32, kind: SegmentKind) -> Result<SegmentWriter> {
         let mut file = disk.create(&temporary_name(number))?;
         file.append(&header(kind, number))?;
-        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
+        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES, gathered: Vec::new() })
     }
 
     /// A segment that lives in memory and is never on a disk.
     pub fn in_memory(number: u32, kind: SegmentKind) -> Result<SegmentWriter> {
         let file: Box<dyn Growing> = Box::new(InMemory(header(kind, number)));
-        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES })
+        Ok(SegmentWriter { file: Mutex::new(file), number, offset: HEADER_BYTES, gathered: Vec::new() })
     }
 
     pub fn number(&self) -> u32 {
@@ -161,17 +167,37 @@ impl SegmentWriter {
         }
         let at =
             PageRef { file: self.number, len: page.len() as u32, offset: self.offset, crc: checksum(page) };
-        self.file.get_mut().expect("no thread panicked while holding the file").append(page)?;
+        self.gathered.extend_from_slice(page);
         self.offset += page.len() as u64;
+        if self.gathered.len() >= GATHERED_BYTES {
+            self.flush()?;
+        }
         Ok(at)
     }
 
-    /// Syncs the bytes, renames the file and syncs the names. Returns the file's length.
-    pub fn finish(mut self, disk: &dyn Disk) -> Result<u64> {
-        self.file.get_mut().expect("no thread panicked while holding the file").sync()?;
-        disk.rename(&temporary_name(self.number), &file_name(self.number))?;
-        disk.sync_names()?;
-        Ok(self.offset)
+    /// Writes what was gathered.
+    fn flush(&mut self) -> Result<()> {
+        let file = self.file.get_mut().expect("no thread panicked while holding the file");
+        file.append(&self.gathered)?;
+        self.gathered.clear();
+        Ok(())
+    }
+
+    /// No page follows.
+    pub fn close(mut self) -> Result<Unnamed> {
+        self.flush()?;
+        Ok(Unnamed {
+            file: self.file.into_inner().expect("no thread panicked while holding the file"),
+            temporary: temporary_name(self.number),
+            name: file_name(self.number),
+        })
+    }
+
+    /// Makes the file durable under its own name. Returns its length.
+    pub fn finish(self, disk: &dyn Disk) -> Result<u64> {
+        let length = self.offset;
+        self.close()?.finish(disk)?;
+        Ok(length)
     }
 }
 
@@ -200,21 +226,28 @@ impl Pages for SegmentWriter {
         if at.offset.checked_add(u64::from(at.len)).is_none_or(|end| end > self.offset) {
             return Err(Error::corrupt(file_name(at.file), at.place(), "reaches past what was written"));
         }
+        let name = || file_name(at.file);
+        let written = self.offset - self.gathered.len() as u64;
+        if let Some(from) = at.offset.checked_sub(written) {
+            let page = &self.gathered[from as usize..][..at.len as usize];
+            verify(name, at, page)?;
+            return Ok(Cow::Borrowed(page));
+        }
         let mut buffer = vec![0; at.len as usize];
         self.file
             .lock()
             .expect("no thread panicked while holding the file")
             .read_at(at.offset, &mut buffer)?;
-        verify(&file_name(at.file), at, &buffer)?;
+        verify(name, at, &buffer)?;
         Ok(Cow::Owned(buffer))
     }
 }
 
-fn verify(name: &str, at: &PageRef, bytes: &[u8]) -> Result<()> {
+fn verify(name: impl Fn() -> String, at: &PageRef, bytes: &[u8]) -> Result<()> {
     let crc = checksum(bytes);
     if crc != at.crc {
         return Err(Error::corrupt(
-            name,
+            name(),
             at.place(),
             format!("checksum {crc:#010x}, stored {:#010x}; restore the file from a backup", at.crc),
         ));
@@ -235,7 +268,8 @@ impl Files {
     }
 
     /// The same files and what was written beside them, held in memory.
-    pub fn with(&self, segment: SegmentWriter) -> Result<Files> {
+    pub fn with(&self, mut segment: SegmentWriter) -> Result<Files> {
+        segment.flush()?;
         let mut bytes = vec![0; segment.offset as usize];
         segment.file.lock().expect("no thread panicked while holding the file").read_at(0, &mut bytes)?;
         let finished: Finished = Arc::new(bytes);
@@ -292,9 +326,7 @@ impl Pages for Files {
             ));
         };
         let page = &bytes[at.offset as usize..end as usize];
-        if checksum(page) != at.crc {
-            verify(&self.name(at.file), at, page)?;
-        }
+        verify(|| self.name(at.file), at, page)?;
         Ok(Cow::Borrowed(page))
     }
 }

@@ -44,7 +44,7 @@ pub fn worst(spline: &Spline, place: Place, held: &CellRect, posts: &[f64]) -> f
 /// Largest errors of the bilinear patches of one level, gathered row of posts by row of posts.
 ///
 /// Costs one bilinear evaluation a post and level; all patches of a level share it, since they agree where they
-/// overlap.
+/// overlap. Each column holds its largest error in the open row of cells; cells are looked at when their row closes.
 pub struct Residuals {
     level: u8,
     /// Places whose errors are wanted: `[i0, i1) x [j0, j1)`.
@@ -53,20 +53,19 @@ pub struct Residuals {
     /// Posts of the rows that will come: first column, count.
     col: i64,
     cols: usize,
-    /// First coarse cell that the columns touch, and per coarse cell: largest in the open row so far.
+    /// First coarse cell that the columns touch.
     cell0: i64,
-    open: Vec<f64>,
-    row_cells: Vec<f64>,
-    row_edges: Vec<f64>,
+    /// The row of cells that is open, and the largest error of each column in it.
     open_row: Option<i64>,
+    open: Vec<f64>,
+    /// Heights of the patch where the row of posts meets the columns of vertices.
     line: Vec<f64>,
 }
 
 impl Residuals {
     pub fn new(level: u8, places: CellRect, col: i64, cols: usize) -> Residuals {
-        let r = 1i64 << level;
-        let cell0 = col.div_euclid(r);
-        let cells = ((col + cols as i64 - 1).div_euclid(r) - cell0 + 1) as usize;
+        let cell0 = col >> level;
+        let cells = (((col + cols as i64 - 1) >> level) - cell0 + 1) as usize;
         Residuals {
             level,
             places,
@@ -74,10 +73,8 @@ impl Residuals {
             col,
             cols,
             cell0,
-            open: vec![0.0; cells],
-            row_cells: vec![0.0; cells],
-            row_edges: vec![0.0; cells + 1],
             open_row: None,
+            open: vec![0.0; cols],
             line: vec![0.0; cells + 1],
         }
     }
@@ -93,7 +90,7 @@ impl Residuals {
 
     /// Vertices of the level that [`Residuals::row`] wants: first index and count.
     pub fn vertices(&self) -> (i64, usize) {
-        (self.cell0, self.open.len() + 1)
+        (self.cell0, self.line.len())
     }
 
     /// Whether a row of posts lies in the domain of a wanted place.
@@ -112,7 +109,7 @@ impl Residuals {
     /// Takes one row of posts (NaN = void) and the vertex rows below and above it (`floor(row / 2^level)` and the next).
     pub fn row(&mut self, row: i64, posts: &[f64], below: &[f64], above: &[f64]) {
         let r = 1i64 << self.level;
-        let cj = row.div_euclid(r);
+        let cj = row >> self.level;
         if self.open_row != Some(cj) {
             self.close();
             self.open_row = Some(cj);
@@ -121,93 +118,72 @@ impl Residuals {
         for ((v, a), b) in self.line.iter_mut().zip(below).zip(above) {
             *v = a + (b - a) * ty;
         }
-        let step = 1.0 / r as f64;
-        let (mut k, n) = (0usize, self.cols);
-        let mut cell = 0usize;
-        self.row_edges.fill(0.0);
-        while k < n {
-            let first = self.col + k as i64 - (self.cell0 + cell as i64) * r;
-            let count = ((r - first) as usize).min(n - k);
-            let (v, slope) = (self.line[cell], self.line[cell + 1] - self.line[cell]);
-            let mut most = 0.0f64;
-            for (m, h) in posts[k..k + count].iter().enumerate() {
-                let d = (h - (v + slope * ((first + m as i64) as f64 * step))).abs();
-                // A void is NaN, and no NaN is greater.
-                if d > most {
-                    most = d;
+        // A row of vertices closes the domains that end there.
+        let ends = (cj - KERNEL - MARGIN).div_euclid(KERNEL);
+        if row == cj * r
+            && cj == (ends + 1) * KERNEL + MARGIN
+            && (self.places.j0..self.places.j1).contains(&ends)
+        {
+            let mut alone = vec![0.0; self.cols];
+            self.compare(posts, &mut alone);
+            self.reduce(ends, &alone);
+        }
+        let mut open = std::mem::take(&mut self.open);
+        self.compare(posts, &mut open);
+        self.open = open;
+    }
+
+    /// Raises `most` to the errors of a row of posts.
+    fn compare(&self, posts: &[f64], most: &mut [f64]) {
+        let r = 1usize << self.level;
+        let first = (self.col - (self.cell0 << self.level)) as usize;
+        // The cell in which the columns begin, whole cells, the cell in which they end.
+        let head = if first == 0 { 0 } else { (r - first).min(self.cols) };
+        let whole = (self.cols - head) / r * r;
+        let (posts, rest) = posts[..self.cols].split_at(head);
+        let (most, most_rest) = most.split_at_mut(head);
+        let cells = &self.line[usize::from(head > 0)..];
+        let ((inner, tail), (most_inner, most_tail)) = (rest.split_at(whole), most_rest.split_at_mut(whole));
+        if head > 0 {
+            compare_cell(posts, most, &self.line, first, r);
+        }
+        match r {
+            2 => compare_cells::<2>(inner, most_inner, cells),
+            4 => compare_cells::<4>(inner, most_inner, cells),
+            8 => compare_cells::<8>(inner, most_inner, cells),
+            _ => {
+                let inner = inner.chunks_exact(r).zip(most_inner.chunks_exact_mut(r));
+                for ((posts, most), ends) in inner.zip(cells.windows(2)) {
+                    compare_cell(posts, most, ends, 0, r);
                 }
             }
-            if first == 0 {
-                let d = (posts[k] - v).abs();
-                self.row_edges[cell] = if d > 0.0 { d } else { 0.0 };
-            }
-            self.row_cells[cell] = most;
-            k += count;
-            cell += 1;
         }
-        // A row of vertices closes the domains that end there.
-        if row == cj * r && (cj - KERNEL - MARGIN).rem_euclid(KERNEL) == 0 {
-            let pj = (cj - KERNEL - MARGIN).div_euclid(KERNEL);
-            let (cells, edges) = (std::mem::take(&mut self.row_cells), std::mem::take(&mut self.row_edges));
-            self.reduce(pj, &cells, Some(&edges));
-            (self.row_cells, self.row_edges) = (cells, edges);
-        }
-        for (o, c) in self.open.iter_mut().zip(&self.row_cells) {
-            *o = o.max(*c);
-        }
-        // Columns of vertices close domains too: their posts belong to the next cell of this row.
-        let edges = std::mem::take(&mut self.row_edges);
-        self.each_place_row(cj, |s, pj| s.reduce_edges(pj, &edges));
-        self.row_edges = edges;
-    }
-
-    fn each_place_row(&mut self, cj: i64, mut f: impl FnMut(&mut Self, i64)) {
-        let lo = (cj - KERNEL - MARGIN).div_euclid(KERNEL) + 1;
-        let hi = (cj + MARGIN).div_euclid(KERNEL);
-        for pj in lo..=hi {
-            f(self, pj);
+        if !tail.is_empty() {
+            compare_cell(tail, most_tail, &cells[whole / r..], 0, r);
         }
     }
 
-    fn slot(&self, pi: i64, pj: i64) -> usize {
-        ((pj - self.places.j0) * self.places.width() + pi - self.places.i0) as usize
-    }
-
-    fn reduce(&mut self, pj: i64, cells: &[f64], edges: Option<&[f64]>) {
-        if !(self.places.j0..self.places.j1).contains(&pj) {
-            return;
-        }
+    /// Takes the errors of columns for the places of one row.
+    fn reduce(&mut self, pj: i64, columns: &[f64]) {
         for pi in self.places.i0..self.places.i1 {
-            let a = (pi * KERNEL - MARGIN - self.cell0).clamp(0, cells.len() as i64) as usize;
-            let b = (pi * KERNEL + KERNEL + MARGIN - self.cell0).clamp(0, cells.len() as i64) as usize;
-            let mut most = cells[a..b].iter().fold(0.0f64, |m, v| m.max(*v));
-            if let Some(e) = edges
-                && pi * KERNEL + KERNEL + MARGIN - self.cell0 == b as i64
-            {
-                most = most.max(e[b]);
-            }
-            let k = self.slot(pi, pj);
+            // The closed domain: a column of vertices belongs to the domains on both sides.
+            let a = ((pi * KERNEL - MARGIN) << self.level) - self.col;
+            let b = ((pi * KERNEL + KERNEL + MARGIN) << self.level) - self.col + 1;
+            let inside = |k: i64| k.clamp(0, self.cols as i64) as usize;
+            let most = greatest(&columns[inside(a)..inside(b)]);
+            let k = ((pj - self.places.j0) * self.places.width() + pi - self.places.i0) as usize;
             self.delta[k] = self.delta[k].max(most);
-        }
-    }
-
-    fn reduce_edges(&mut self, pj: i64, edges: &[f64]) {
-        if !(self.places.j0..self.places.j1).contains(&pj) {
-            return;
-        }
-        for pi in self.places.i0..self.places.i1 {
-            let b = pi * KERNEL + KERNEL + MARGIN - self.cell0;
-            if (0..edges.len() as i64).contains(&b) {
-                let k = self.slot(pi, pj);
-                self.delta[k] = self.delta[k].max(edges[b as usize]);
-            }
         }
     }
 
     fn close(&mut self) {
         if let Some(cj) = self.open_row.take() {
             let open = std::mem::take(&mut self.open);
-            self.each_place_row(cj, |s, pj| s.reduce(pj, &open, None));
+            let lo = (cj - KERNEL - MARGIN).div_euclid(KERNEL) + 1;
+            let hi = (cj + MARGIN).div_euclid(KERNEL);
+            for pj in lo.max(self.places.j0)..=hi.min(self.places.j1 - 1) {
+                self.reduce(pj, &open);
+            }
             self.open = open;
             self.open.fill(0.0);
         }
@@ -218,6 +194,39 @@ impl Residuals {
         self.close();
         self.delta
     }
+}
+
+/// Raises `most` to the distances of posts to the line over one cell of `r` steps, of which the posts begin at `first`.
+/// `ends` begins with the heights at the ends of the cell.
+#[inline(always)]
+fn compare_cell(posts: &[f64], most: &mut [f64], ends: &[f64], first: usize, r: usize) {
+    let (v, slope, step) = (ends[0], ends[1] - ends[0], 1.0 / r as f64);
+    for (m, (h, most)) in posts.iter().zip(most).enumerate() {
+        let d = (h - (v + slope * (f64::from((first + m) as i32) * step))).abs();
+        // A void is NaN, and no NaN is greater.
+        *most = if d > *most { d } else { *most };
+    }
+}
+
+/// The same for whole cells of `R` steps in a row.
+#[inline(always)]
+fn compare_cells<const R: usize>(posts: &[f64], most: &mut [f64], ends: &[f64]) {
+    let (posts, most) = (posts.as_chunks::<R>().0, most.as_chunks_mut::<R>().0);
+    for ((posts, most), ends) in posts.iter().zip(most).zip(ends.windows(2)) {
+        compare_cell(posts, most, ends, 0, R);
+    }
+}
+
+/// The greatest of numbers that are no less than 0, in lanes.
+fn greatest(values: &[f64]) -> f64 {
+    let mut lanes = [0.0f64; 8];
+    let (eights, rest) = values.as_chunks::<8>();
+    for eight in eights {
+        for (lane, v) in lanes.iter_mut().zip(eight) {
+            *lane = if *v > *lane { *v } else { *lane };
+        }
+    }
+    lanes.iter().chain(rest).fold(0.0, |m, v| if *v > m { *v } else { m })
 }
 
 #[cfg(test)]
@@ -286,6 +295,52 @@ mod tests {
                     k += 1;
                 }
             }
+        }
+    }
+
+    /// Every post against every patch by the definition, in pieces of any columns and rows.
+    #[test]
+    fn errors_are_those_of_each_post_bit_for_bit_in_any_pieces() {
+        let (cols, rows) = (230i64, 150i64);
+        let post = |i: i64, j: i64| {
+            let h = ((i * 7919 + j * 104729).rem_euclid(977)) as f64 / 7.0;
+            if (i * 31 + j * 17).rem_euclid(23) == 0 { f64::NAN } else { h }
+        };
+        let vertex = |a: i64, b: i64| (a * 13 + b * 29).rem_euclid(500) as f64 / 3.0;
+        for level in 1..=8u8 {
+            let r = 1i64 << level;
+            let places = CellRect::new(-1, -1, 4 + 60 / r, 3 + 60 / r);
+            let mut want = vec![0.0f64; (places.width() * places.height()) as usize];
+            for (k, want) in want.iter_mut().enumerate() {
+                let at = (places.i0 + k as i64 % places.width(), places.j0 + k as i64 / places.width());
+                let d = Place::new(level, at.0, at.1).domain();
+                for j in d.j0.max(0)..=d.j1.min(rows - 1) {
+                    for i in d.i0.max(0)..=d.i1.min(cols - 1) {
+                        let (a, b) = (i >> level, j >> level);
+                        let (s, t) = ((i - a * r) as f64 / r as f64, (j - b * r) as f64 / r as f64);
+                        let line = |a: i64| vertex(a, b) + (vertex(a, b + 1) - vertex(a, b)) * t;
+                        let e = (post(i, j) - (line(a) + (line(a + 1) - line(a)) * s)).abs();
+                        if e > *want {
+                            *want = e;
+                        }
+                    }
+                }
+            }
+            let mut found = vec![0.0f64; want.len()];
+            for (i0, i1) in [(0, 1), (1, 8), (8, 120), (120, 121), (121, 224), (224, cols)] {
+                for (j0, j1) in [(0, 5), (5, 112), (112, rows)] {
+                    let mut gather = Residuals::new(level, places, i0, (i1 - i0) as usize);
+                    let (v0, vn) = gather.vertices();
+                    let line = |b: i64| (v0..v0 + vn as i64).map(|a| vertex(a, b)).collect::<Vec<f64>>();
+                    for j in j0..j1 {
+                        let posts: Vec<f64> = (i0..i1).map(|i| post(i, j)).collect();
+                        gather.row(j, &posts, &line(j >> level), &line((j >> level) + 1));
+                    }
+                    found.iter_mut().zip(gather.finish()).for_each(|(m, d)| *m = m.max(d));
+                }
+            }
+            let bits = |v: &[f64]| v.iter().map(|d| d.to_bits()).collect::<Vec<u64>>();
+            assert_eq!(bits(&found), bits(&want), "level {level}");
         }
     }
 
