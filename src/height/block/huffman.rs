@@ -5,6 +5,7 @@
 //! `docs/format.md`.
 
 use crate::base::bytes::Put;
+use multiversion::multiversion;
 
 /// Longest code.
 pub const BITS: usize = 11;
@@ -108,6 +109,7 @@ fn ends(n: usize) -> [usize; STREAMS] {
 }
 
 /// Appends bytes in the codes of `lengths`, which has one for each of them.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
 pub fn encode(bytes: &[u8], lengths: &Lengths, out: &mut Vec<u8>) {
     let last = lengths.last();
     out.put_u8(last as u8);
@@ -157,6 +159,7 @@ struct Table {
 impl Table {
     /// # Errors
     /// If the lengths leave bits without a meaning, or give some two.
+    #[inline(always)]
     fn new(lengths: Lengths) -> Result<Table, &'static str> {
         let order = lengths.in_order();
         let taken: usize = order.iter().map(|s| 1 << (BITS - usize::from(lengths.0[usize::from(*s)]))).sum();
@@ -203,7 +206,7 @@ impl Table {
 }
 
 /// 64 bits from a position on; zeros past the end.
-#[inline]
+#[inline(always)]
 fn load(packed: &[u8], bit: usize) -> u64 {
     let from = packed.get(bit / 8..).unwrap_or(&[]);
     let word = match from.first_chunk::<8>() {
@@ -246,6 +249,7 @@ impl Stream<'_> {
         }
     }
 
+    #[inline(always)]
     fn finish(&mut self, packed: &[u8], table: &Table) {
         while self.may_step(packed) {
             self.step(packed, table);
@@ -263,6 +267,7 @@ impl Stream<'_> {
 ///
 /// # Errors
 /// If the bytes are none that [`encode`] writes.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
 pub fn decode(packed: &[u8], out: &mut [u8]) -> Result<usize, &'static str> {
     let short = "codes reach past the end";
     let (last, rest) = packed.split_first().ok_or(short)?;

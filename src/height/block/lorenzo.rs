@@ -6,6 +6,7 @@
 
 use super::N;
 use crate::height::source::SampleType;
+use multiversion::multiversion;
 
 // Bits of a float as an integer in the same order, and back.
 fn ordered32(b: u32) -> u32 {
@@ -24,8 +25,22 @@ fn unordered64(o: u64) -> u64 {
 /// Samples of a row that are summed up side by side; 7 times that is a row of a block.
 const LANES: usize = 16;
 
+/// A row of bytes in a row of a whole block, so that loops have the same length for all.
+#[inline(always)]
+fn widened(row: &[u8]) -> [u8; N] {
+    match row.first_chunk() {
+        Some(whole) => *whole,
+        None => {
+            let mut wide = [0; N];
+            wide[..row.len()].copy_from_slice(row);
+            wide
+        }
+    }
+}
+
 macro_rules! planes {
     ($unsigned:ty, $split:ident, $join:ident, $add:ident) => {
+        #[inline(always)]
         fn $split(samples: &[u8], cols: usize, planes: &mut [u8], map: impl Fn($unsigned) -> $unsigned) {
             const W: usize = size_of::<$unsigned>();
             let n = planes.len() / W;
@@ -56,6 +71,7 @@ macro_rules! planes {
             std::array::from_fn(|k| if k < S { lanes[k] } else { lanes[k].wrapping_add(lanes[k - S]) })
         }
 
+        #[inline(always)]
         fn $join(planes: &[u8], cols: usize, map: impl Fn($unsigned) -> $unsigned) -> Vec<u8> {
             const W: usize = size_of::<$unsigned>();
             let n = planes.len() / W;
@@ -65,12 +81,14 @@ macro_rules! planes {
             for (r, row) in out.chunks_exact_mut(cols * W).enumerate() {
                 let mut zigzag: [$unsigned; N] = [0; N];
                 for (p, plane) in planes.chunks_exact(n).enumerate() {
-                    for (z, byte) in zigzag.iter_mut().zip(&plane[r * cols..(r + 1) * cols]) {
-                        *z |= <$unsigned>::from(*byte) << (8 * p);
+                    let bytes = widened(&plane[r * cols..(r + 1) * cols]);
+                    for k in 0..N {
+                        zigzag[k] |= <$unsigned>::from(bytes[k]) << (8 * p);
                     }
                 }
-                for (sum, z) in down.iter_mut().zip(zigzag) {
-                    *sum = sum.wrapping_add((z >> 1) ^ (0 as $unsigned).wrapping_sub(z & 1));
+                for k in 0..N {
+                    let d = (zigzag[k] >> 1) ^ (0 as $unsigned).wrapping_sub(zigzag[k] & 1);
+                    down[k] = down[k].wrapping_add(d);
                 }
                 let mut line = down;
                 let mut run: $unsigned = 0;
@@ -79,9 +97,8 @@ macro_rules! planes {
                     lanes.iter_mut().for_each(|v| *v = v.wrapping_add(run));
                     run = lanes[LANES - 1];
                 }
-                for (b, v) in row.chunks_exact_mut(W).zip(line) {
-                    b.copy_from_slice(&map(v).to_le_bytes());
-                }
+                let line = line.map(|v| map(v).to_le_bytes());
+                row.copy_from_slice(&line.as_flattened()[..cols * W]);
             }
             out
         }
@@ -94,6 +111,7 @@ planes!(u32, split_u32, join_u32, add_u32);
 planes!(u64, split_u64, join_u64, add_u64);
 
 /// Writes the byte planes of samples, row-major in rows of `cols`. `planes` has as many bytes.
+#[multiversion(targets("x86_64+avx2"))]
 pub fn split(t: SampleType, samples: &[u8], cols: usize, planes: &mut [u8]) {
     match t {
         SampleType::U8 | SampleType::I8 => split_u8(samples, cols, planes, |v| v),
@@ -105,6 +123,7 @@ pub fn split(t: SampleType, samples: &[u8], cols: usize, planes: &mut [u8]) {
 }
 
 /// The samples of byte planes.
+#[multiversion(targets("x86_64+avx2"))]
 pub fn join(t: SampleType, planes: &[u8], cols: usize) -> Vec<u8> {
     match t {
         SampleType::U8 | SampleType::I8 => join_u8(planes, cols, |v| v),

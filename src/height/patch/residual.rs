@@ -4,6 +4,7 @@
 use super::bicubic::Spline;
 use crate::height::frame::CellRect;
 use crate::height::lod::{KERNEL, MARGIN, Place, SIDE};
+use multiversion::multiversion;
 
 /// Largest distance of a bicubic patch to samples: those of `posts` (NaN = void), a rectangle `held` of posts row by row,
 /// that lie in the patch's closed domain. 0 if none does.
@@ -118,6 +119,7 @@ impl Residuals {
         for ((v, a), b) in self.line.iter_mut().zip(below).zip(above) {
             *v = a + (b - a) * ty;
         }
+        let (posts, first) = (&posts[..self.cols], (self.col - (self.cell0 << self.level)) as usize);
         // A row of vertices closes the domains that end there.
         let ends = (cj - KERNEL - MARGIN).div_euclid(KERNEL);
         if row == cj * r
@@ -125,42 +127,10 @@ impl Residuals {
             && (self.places.j0..self.places.j1).contains(&ends)
         {
             let mut alone = vec![0.0; self.cols];
-            self.compare(posts, &mut alone);
+            compare(posts, &mut alone, &self.line, first, self.level);
             self.reduce(ends, &alone);
         }
-        let mut open = std::mem::take(&mut self.open);
-        self.compare(posts, &mut open);
-        self.open = open;
-    }
-
-    /// Raises `most` to the errors of a row of posts.
-    fn compare(&self, posts: &[f64], most: &mut [f64]) {
-        let r = 1usize << self.level;
-        let first = (self.col - (self.cell0 << self.level)) as usize;
-        // The cell in which the columns begin, whole cells, the cell in which they end.
-        let head = if first == 0 { 0 } else { (r - first).min(self.cols) };
-        let whole = (self.cols - head) / r * r;
-        let (posts, rest) = posts[..self.cols].split_at(head);
-        let (most, most_rest) = most.split_at_mut(head);
-        let cells = &self.line[usize::from(head > 0)..];
-        let ((inner, tail), (most_inner, most_tail)) = (rest.split_at(whole), most_rest.split_at_mut(whole));
-        if head > 0 {
-            compare_cell(posts, most, &self.line, first, r);
-        }
-        match r {
-            2 => compare_cells::<2>(inner, most_inner, cells),
-            4 => compare_cells::<4>(inner, most_inner, cells),
-            8 => compare_cells::<8>(inner, most_inner, cells),
-            _ => {
-                let inner = inner.chunks_exact(r).zip(most_inner.chunks_exact_mut(r));
-                for ((posts, most), ends) in inner.zip(cells.windows(2)) {
-                    compare_cell(posts, most, ends, 0, r);
-                }
-            }
-        }
-        if !tail.is_empty() {
-            compare_cell(tail, most_tail, &cells[whole / r..], 0, r);
-        }
+        compare(posts, &mut self.open, &self.line, first, self.level);
     }
 
     /// Takes the errors of columns for the places of one row.
@@ -193,6 +163,36 @@ impl Residuals {
     pub fn finish(mut self) -> Vec<f64> {
         self.close();
         self.delta
+    }
+}
+
+/// Raises `most` to the errors of a row of posts, the first of them `first` posts after the first vertex of `line`.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn compare(posts: &[f64], most: &mut [f64], line: &[f64], first: usize, level: u8) {
+    let r = 1usize << level;
+    // The cell in which the columns begin, whole cells, the cell in which they end.
+    let head = if first == 0 { 0 } else { (r - first).min(posts.len()) };
+    let whole = (posts.len() - head) / r * r;
+    let (posts, rest) = posts.split_at(head);
+    let (most, most_rest) = most.split_at_mut(head);
+    let cells = &line[usize::from(head > 0)..];
+    let ((inner, tail), (most_inner, most_tail)) = (rest.split_at(whole), most_rest.split_at_mut(whole));
+    if head > 0 {
+        compare_cell(posts, most, line, first, r);
+    }
+    match r {
+        2 => compare_cells::<2>(inner, most_inner, cells),
+        4 => compare_cells::<4>(inner, most_inner, cells),
+        16 => compare_cells::<16>(inner, most_inner, cells),
+        _ => {
+            let inner = inner.chunks_exact(r).zip(most_inner.chunks_exact_mut(r));
+            for ((posts, most), ends) in inner.zip(cells.windows(2)) {
+                compare_cell(posts, most, ends, 0, r);
+            }
+        }
+    }
+    if !tail.is_empty() {
+        compare_cell(tail, most_tail, &cells[whole / r..], 0, r);
     }
 }
 
