@@ -425,13 +425,18 @@ impl<'a> Draft<'a> {
         flipped: &HashMap<SurveyNumber, HashSet<Place>>,
     ) -> Result<bool> {
         let Some(top) = self.top(x, place)? else { return Ok(true) };
+        let live = top.standing.top > fact.bot;
         let g = self.geometry_of(x);
         let quad = g.frame.quad(&place.rect().intersect(&g.core));
         for (s, places) in moved {
             let gs = self.geometry_either(*s);
             let window = if *s == x { place.rect() } else { gs.frame.cells_meeting(&quad) };
-            // A survey that was better here, or is, may have been or become the best data.
-            let better = gs.accuracy < fact.bot && fact.bot <= g.accuracy && *s != x;
+            // A survey that was better here, or is, may have been or become the best data. One that only came can take a floor
+            // away, one that went can give one back, and neither to a patch that is dormant.
+            let came = !self.base.entries().contains_key(s);
+            let went = !self.entries.contains_key(s);
+            let may_turn = live && !(came && !top.standing.floor) && !(went && top.standing.floor);
+            let better = may_turn && gs.accuracy < fact.bot && fact.bot <= g.accuracy && *s != x;
             let levels = gs.level_max.max(self.base.entries().get(s).map_or(0, |e| e.geometry.level_max));
             for level in 0..=levels {
                 let may_cover = gs.area(level).total_cmp(&g.area(place.level)).is_ge();
@@ -446,8 +451,7 @@ impl<'a> Draft<'a> {
                         if may_cover && *bot <= top.standing.top {
                             return Ok(true);
                         }
-                        let kernel_changed =
-                            !self.entries.contains_key(s) || flipped.get(s).is_some_and(|f| f.contains(&q));
+                        let kernel_changed = went || flipped.get(s).is_some_and(|f| f.contains(&q));
                         if better && level == 0 && kernel_changed {
                             return Ok(true);
                         }

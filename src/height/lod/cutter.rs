@@ -66,11 +66,16 @@ fn top(
     let mut bound = ancestors;
     let quad = g.frame.quad(&place.rect().intersect(&g.core));
     let mut candidates = Vec::new();
-    let mut cores: Vec<Vec<CellRect>> = Vec::new();
     for (k, &h) in others.iter().enumerate() {
         let gh = world.geometry(h);
+        // No patch of a survey has a smaller error than the survey.
+        if gh.accuracy >= bound
+            || gh.area(gh.level_max).total_cmp(&rank.area).is_lt()
+            || !gh.quad().overlaps(&quad)
+        {
+            continue;
+        }
         let window = gh.frame.cells_meeting(&quad);
-        let mut have_core = false;
         for level in 0..=gh.level_max {
             if gh.area(level).total_cmp(&rank.area).is_lt() {
                 continue;
@@ -95,16 +100,21 @@ fn top(
                         }
                         Fill::Mixed => {}
                     }
-                    have_core = true;
                     candidates.push(Candidate { bot: f.bot, survey: k, place: q });
                 }
             }
         }
-        cores.push(if have_core { rects(world, h, Cells::CorePrime, &window)? } else { Vec::new() });
     }
     candidates.retain(|c| c.bot < bound);
     if candidates.is_empty() {
         return Ok(bound);
+    }
+    // core' of the surveys that are left.
+    let mut cores: Vec<Vec<CellRect>> = vec![Vec::new(); others.len()];
+    for of_one in candidates.chunk_by(|a, b| a.survey == b.survey) {
+        let k = of_one[0].survey;
+        let window = world.geometry(others[k]).frame.cells_meeting(&quad);
+        cores[k] = rects(world, others[k], Cells::CorePrime, &window)?;
     }
     candidates.sort_by(|a, b| a.bot.total_cmp(&b.bot));
     let mut steps: Vec<f32> = candidates.iter().map(|c| c.bot).collect();
