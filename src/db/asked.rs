@@ -11,9 +11,9 @@ use super::found::Found;
 use crate::base::Result;
 use crate::base::lattice::{Bounds, Quad};
 use crate::height::lod::PatchId;
-use crate::height::lod::cut::{Clip, Cut, Foreseen, Lies};
+use crate::height::lod::cut::{Boxes, Clip, Cut, Lies};
 use crate::height::surface::KAPPA;
-use crate::store::quadtree::{Below, Domains, Question, Range, Record, SHELF, Spot, bits, first, mask};
+use crate::store::quadtree::{Below, Domains, Question, Range, Record, Spot, bits, first};
 use std::collections::HashSet;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -72,28 +72,27 @@ impl Asked<'_> {
         (middle, half[0].hypot(half[1]))
     }
 
-    /// Whether all domains of a spot lie inside the region. Then every single one [`Lies::Inside`].
-    fn holds(&self, spot: &Spot) -> bool {
+    /// The borders of the region that the domains of a spot come near; none: every single one [`Lies::Inside`].
+    #[inline]
+    fn borders(&self, spot: &Spot) -> u64 {
         let [x, y, radius] = spot.summary.reach;
-        self.clip.lies([x, y], radius, 3.0) == Lies::Inside
+        self.clip.borders([x, y], radius)
     }
 
-    /// Of the records in a mask, those whose discs lie inside the region, have their middle in it, and may meet it.
-    fn lie(&self, spot: &Spot, mask: u64) -> (u64, u64, u64) {
-        let d = spot.shelf.discs(spot.shelf.records.len());
-        let (mut inside, mut middle, mut met) = (0, 0, 0);
-        for k in bits(mask) {
-            let lies = self.clip.lies([d.x[k], d.y[k]], d.radius[k], 1.0);
-            inside |= u64::from(lies == Lies::Inside) << k;
-            middle |= u64::from(matches!(lies, Lies::Inside | Lies::Middle)) << k;
-            met |= u64::from(lies != Lies::Outside) << k;
+    /// The first `n` records of a spot whose domains lie inside the region, and those that may meet it.
+    fn sort(&self, spot: &Spot, n: usize) -> (u64, u64) {
+        match self.borders(spot) {
+            0 => (first(n), first(n)),
+            borders => {
+                let b = spot.shelf.boxes(n);
+                self.clip.sort(b.x, b.y, b.radius, borders)
+            }
         }
-        (inside, middle, met)
     }
 
-    /// The part of a record's domain in the region; empty if they do not meet.
-    fn part(&mut self, r: &Record) -> &[[f64; 2]] {
-        self.clip.part(&corners(&self.domains.domain(r), self.size))
+    /// The corners of a record's domain.
+    fn domain(&self, r: &Record) -> [[f64; 2]; 4] {
+        corners(&self.domains.domain(r), self.size)
     }
 
     /// Of the records in a mask those that were not taken before.
@@ -155,7 +154,7 @@ impl Question for Even<'_> {
             return Some(Range { inside: true, ..self.range });
         }
         let (middle, radius) = self.asked.disc(cell);
-        let lies = self.asked.clip.lies(middle, radius, 1.0);
+        let lies = self.asked.clip.lies(middle, radius);
         let met = match lies {
             Lies::Inside | Lies::Middle => true,
             Lies::Outside => false,
@@ -173,13 +172,12 @@ impl Question for Even<'_> {
         let low = shelf.of_bot(self.most);
         self.asked.found.tested += u64::from(looked_at.count_ones());
         let mut taken = looked_at & high & (low | self.asked.floors(spot));
-        if self.asked.holds(spot) {
-            taken &= spot.summary.own;
-        } else if taken != 0 {
-            let (inside, middle, met) = self.asked.lie(spot, taken);
+        if taken != 0 {
+            let (inside, met) = self.asked.sort(spot, shelf.records.len());
             let mut across = taken & met & !inside;
-            for k in bits(across & !middle) {
-                if self.asked.part(&shelf.records[k]).is_empty() {
+            for k in bits(across) {
+                let domain = self.asked.domain(&shelf.records[k]);
+                if self.asked.clip.part(&domain).is_empty() {
                     across &= !(1 << k);
                 }
             }
@@ -193,49 +191,46 @@ impl Question for Even<'_> {
 /// A question whose tolerance varies.
 pub struct Uneven<'a> {
     pub asked: Asked<'a>,
-    foreseen: Box<[Foreseen; SHELF]>,
 }
 
-impl<'a> Uneven<'a> {
-    pub fn new(asked: Asked<'a>) -> Uneven<'a> {
-        Uneven { asked, foreseen: Box::new([Foreseen::NOTHING; SHELF]) }
-    }
-
-    fn foresee(&mut self, n: usize, x: &[f64], y: &[f64], radius: &[f64]) {
-        self.foreseen[..n].fill(Foreseen::NOTHING);
-        self.asked.cut.foresee(x, y, radius, &mut self.foreseen[..n]);
-    }
-
-    /// Whether a record is needed, by clipping its domain.
-    fn needs(&mut self, r: &Record, floor: bool) -> bool {
-        let kappa = self.asked.kappa();
-        let cut = self.asked.cut;
-        let part = self.asked.part(r);
+impl Uneven<'_> {
+    /// Whether a record is needed, by the corners of its domain; `inside`: all of that is in the region.
+    fn needs(&mut self, r: &Record, floor: bool, inside: bool) -> bool {
+        let domain = self.asked.domain(r);
+        let part = if inside { &domain } else { self.asked.clip.part(&domain) };
         if part.is_empty() {
             return false;
         }
-        let (lo, hi) = cut.bounds(part);
-        lo < kappa * f64::from(r.top) && (f64::from(r.bot) <= hi || floor)
+        let (lo, hi) = self.asked.cut.bounds(part);
+        lo < self.asked.kappa() * f64::from(r.top) && (f64::from(r.bot) <= hi || floor)
     }
 }
 
 impl Question for Uneven<'_> {
     fn range(&mut self, cell: &Bounds, above: Option<&Range>, below: Option<&Below>) -> Option<Range> {
         let kappa = self.asked.kappa();
-        let (middle, radius) = self.asked.disc(cell);
+        let ([x, y], radius) = self.asked.disc(cell);
         let inside = above.is_some_and(|a| a.inside);
-        let lies = if inside { Lies::Inside } else { self.asked.clip.lies(middle, radius, 1.0) };
+        let lies = if inside { Lies::Inside } else { self.asked.clip.lies([x, y], radius) };
         if lies == Lies::Outside {
             return None;
         }
+        let quad = corners(&cell.quad(), self.asked.size);
         if let Some(b) = below {
-            self.foresee(1, &[middle[0]], &[middle[1]], &[radius]);
-            let f = self.foreseen[0];
-            if !(Range { lo: f.lo_least / kappa, hi: f.hi_most, inside }).meets(b) {
+            let arms = [quad[0][0] - x, quad[0][1] - y, quad[1][0] - x, quad[1][1] - y].map(|v| [v as f32]);
+            let whole = Boxes {
+                x: &[x],
+                y: &[y],
+                radius: &[radius],
+                top: &[b.top_max],
+                bot: &[b.bot_min],
+                arms: arms.each_ref().map(|v| &v[..]),
+            };
+            let f = self.asked.cut.foresee(&whole, kappa);
+            if f.not_above_lo == 1 || f.not_below_hi == 1 && !b.floor {
                 return None;
             }
         }
-        let quad = corners(&cell.quad(), self.asked.size);
         let part = if lies == Lies::Inside { &quad } else { self.asked.clip.part(&quad) };
         if part.is_empty() {
             return None;
@@ -249,25 +244,16 @@ impl Question for Uneven<'_> {
         let shelf = &*spot.shelf;
         let n = shelf.tops().partition_point(|t| f64::from(*t) > range.lo);
         self.asked.found.tested += n as u64;
-        let d = shelf.discs(n);
-        self.foresee(n, d.x, d.y, d.radius);
-        let (kappa, floors) = (self.asked.kappa(), self.asked.floors(spot));
-        let records = || self.foreseen[..n].iter().zip(shelf.tops()).zip(shelf.bots());
-        // Needed for certain if the region holds the middle of the domain; needed for certain not.
-        let sure = mask(records().map(|((f, t), _)| f.lo_most < kappa * f64::from(*t)))
-            & (mask(records().map(|((f, _), b)| f64::from(*b) <= f.hi_least)) | floors);
-        let out = mask(records().map(|((f, t), _)| f.lo_least >= kappa * f64::from(*t)))
-            | (mask(records().map(|((f, _), b)| f64::from(*b) > f.hi_most)) & !floors);
-        let mut taken = first(n) & !out;
-        let mut certain = sure;
-        if !self.asked.holds(spot) {
-            let (_, middle, met) = self.asked.lie(spot, taken);
-            certain &= middle;
+        let floors = self.asked.floors(spot);
+        let f = self.asked.cut.foresee(&shelf.boxes(n), self.asked.kappa());
+        let mut taken = first(n) & !(f.not_above_lo | f.not_below_hi & !floors);
+        if taken != 0 {
+            let (inside, met) = self.asked.sort(spot, n);
             taken &= met;
-        }
-        for k in bits(taken & !certain) {
-            if !self.needs(&shelf.records[k], floors >> k & 1 == 1) {
-                taken &= !(1 << k);
+            for k in bits(taken & !(inside & f.above_lo & (f.below_hi | floors))) {
+                if !self.needs(&shelf.records[k], floors >> k & 1 == 1, inside >> k & 1 == 1) {
+                    taken &= !(1 << k);
+                }
             }
         }
         taken = self.asked.new_ones(spot, taken);
@@ -275,3 +261,6 @@ impl Question for Uneven<'_> {
         Ok(n == shelf.records.len())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,7 +11,7 @@ use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
 use crate::height::lod::cut::{Clip, Cut, Region};
 use crate::height::surface::Blend;
-use crate::store::quadtree::{Domains, Node, Record, Shelf, Shelves, walk};
+use crate::store::quadtree::{Domains, Explored, Node, Record, Shelf, Shelves, walk};
 use crate::store::segment::PageRef;
 use std::cmp::Ordering;
 use std::sync::Arc;
@@ -72,6 +72,9 @@ pub fn set_hash<'a>(records: impl Iterator<Item = &'a Record>) -> [u8; 16] {
     out.copy_from_slice(&blake3::hash(&ids).as_bytes()[..16]);
     out
 }
+
+/// Patches of several nodes that an answer is expected to have, so that the set of those met seldom grows.
+const MET: usize = 1024;
 
 impl Snapshot {
     pub(super) fn region(&self, query: &Query) -> Result<Region> {
@@ -135,7 +138,17 @@ impl Snapshot {
     }
 
     pub(super) fn find_in(&self, region: Region, cut: &dyn Cut, blend: Blend) -> Result<Found> {
-        let tree = self.view.explored();
+        self.find_through(self.view.explored(), region, cut, blend)
+    }
+
+    /// By nodes that were reached before.
+    pub(super) fn find_through(
+        &self,
+        tree: Arc<Explored>,
+        region: Region,
+        cut: &dyn Cut,
+        blend: Blend,
+    ) -> Result<Found> {
         let found = Found::none(self.number(), region, tree.clone());
         let (Some(root), false) = (&self.view.tree, found.region.is_empty()) else { return Ok(found) };
         let asked = Asked {
@@ -144,7 +157,7 @@ impl Snapshot {
             cut,
             exact: blend == Blend::Exact,
             clip: Clip::new(&found.region),
-            met: Met::default(),
+            met: Met::with_capacity_and_hasher(if cut.even().is_some() { 0 } else { MET }, Default::default()),
             found,
         };
         let (nodes, asked) = match cut.even() {
@@ -153,7 +166,7 @@ impl Snapshot {
                 (walk(&tree, self, &root.page, &mut question)?, question.asked)
             }
             None => {
-                let mut question = Uneven::new(asked);
+                let mut question = Uneven { asked };
                 (walk(&tree, self, &root.page, &mut question)?, question.asked)
             }
         };

@@ -48,6 +48,10 @@ pub fn unzigzag(v: u64) -> i64 {
 #[inline]
 pub fn around(a: usize, b: usize, side: usize) -> Option<[usize; 6]> {
     let k = b * side + a;
+    if a > 1 && b > 1 && a + 1 < side {
+        let n = k - side;
+        return Some([k - 1, n, n - 1, n + 1, k - 2, n - side]);
+    }
     match (a, b) {
         (0, 0) => None,
         (_, 0) => Some([k - 1; 6]),
@@ -64,8 +68,14 @@ pub fn around(a: usize, b: usize, side: usize) -> Option<[usize; 6]> {
 
 /// Number, rest of the code and parameter of a vertex, from those before it.
 #[inline]
-fn expected(q: &[i64; COUNT], m: &[u64; COUNT], k: usize, first: i64, c: &Coefficients) -> (i64, u64) {
-    let Some([w, n, nw, ne, ww, nn]) = around(k % SIDE, k / SIDE, SIDE) else { return (first, 0) };
+fn expected(
+    q: &[i64; COUNT],
+    m: &[u64; COUNT],
+    (a, b): (usize, usize),
+    first: i64,
+    c: &Coefficients,
+) -> (i64, u64) {
+    let Some([w, n, nw, ne, ww, nn]) = around(a, b, SIDE) else { return (first, 0) };
     let up = q[n];
     let sum = c[0] * (q[w] - up)
         + c[1] * (q[nw] - up)
@@ -128,8 +138,8 @@ pub fn encode(head: Vec<u8>, grid: &mut Grid, first: i64, c: &Coefficients, clas
         w.put(u64::from(width), WIDTH_BITS);
     }
     let mut m = [0u64; COUNT];
-    for k in 0..COUNT {
-        let (p, s) = expected(&grid.q, &m, k, first, c);
+    for (k, at) in (0..SIDE).flat_map(|b| (0..SIDE).map(move |a| (a, b))).enumerate() {
+        let (p, s) = expected(&grid.q, &m, at, first, c);
         if grid.class[k] == Class::Nothing {
             grid.q[k] = p;
             m[k] = s / 8;
@@ -173,8 +183,8 @@ pub fn decode(bytes: &[u8], first: i64, c: &Coefficients, classes: bool) -> Resu
         }
     }
     let mut m = [0u64; COUNT];
-    for k in 0..COUNT {
-        let (p, s) = expected(&grid.q, &m, k, first, c);
+    for (k, at) in (0..SIDE).flat_map(|b| (0..SIDE).map(move |a| (a, b))).enumerate() {
+        let (p, s) = expected(&grid.q, &m, at, first, c);
         if grid.class[k] == Class::Nothing {
             grid.q[k] = p;
             m[k] = s / 8;

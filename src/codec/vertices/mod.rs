@@ -74,7 +74,11 @@ fn packed(z: &Vertices, scale: f64, offset: f64, zeros_are_nothing: bool) -> Opt
         }
         let q = step.nearest(*z)?;
         grid.q[k] = q;
-        let rest = ((z - step.height(q)) / step::FINEST).round();
+        let off = z - step.height(q);
+        if off == 0.0 {
+            continue;
+        }
+        let rest = (off / step::FINEST).round();
         if rest.abs() > step::REST_MAX {
             return None;
         }

@@ -25,6 +25,19 @@ fn power_of_ten(n: i8) -> f64 {
     10f64.powi(i32::from(n))
 }
 
+/// 2^n for n of [`BINARY`], without a call for each vertex.
+fn power_of_two(n: i8) -> f64 {
+    f64::from_bits(((1023 + i64::from(n)) as u64) << 52)
+}
+
+/// The nearest whole number, halves away from 0; `|v|` below 2^52.
+#[inline]
+pub fn rounded_whole(v: f64) -> i64 {
+    let whole = v as i64;
+    let rest = v - whole as f64;
+    whole + i64::from(rest >= 0.5) - i64::from(rest <= -0.5)
+}
+
 impl Step {
     /// The step with which heights take the fewest bits, by a rough count: bits of a step for each, and those of a rest for each that lies between.
     pub fn of(z: impl Iterator<Item = f64>, scale: f64, offset: f64) -> Step {
@@ -47,11 +60,15 @@ impl Step {
             }
         }
         for d in DECIMALS {
+            // log2(10) is 3.32.
+            let bits = (i64::from(d) * 332 + 50) / 100;
+            if all * bits >= least {
+                // Even if every sample fits; more decimals cost more.
+                break;
+            }
             let p = power_of_ten(d);
             let fit =
                 samples.iter().flatten().filter(|s| rounded((**s * p).round() / p) == **s).count() as i64;
-            // log2(10) is 3.32.
-            let bits = (i64::from(d) * 332 + 50) / 100;
             let cost = all * bits + (all - fit) * (FINEST_BITS + 2 - bits);
             if cost < least {
                 (least, step.decimal, step.exponent) = (cost, true, d);
@@ -78,7 +95,7 @@ impl Step {
         let sample = if self.decimal {
             rounded(q as f64 / power_of_ten(self.exponent))
         } else {
-            q as f64 * 2f64.powi(i32::from(self.exponent))
+            q as f64 * power_of_two(self.exponent)
         };
         if self.scaled() { sample * self.scale + self.offset } else { sample }
     }
@@ -89,9 +106,9 @@ impl Step {
         let q = if self.decimal {
             s * power_of_ten(self.exponent)
         } else {
-            s * 2f64.powi(-i32::from(self.exponent))
+            s * power_of_two(-self.exponent)
         };
-        (q.abs() <= WHOLE_MAX as f64 - 1.0).then(|| q.round() as i64)
+        (q.abs() <= WHOLE_MAX as f64 - 1.0).then(|| rounded_whole(q))
     }
 
     /// Whether it is one that packed vertices may have.

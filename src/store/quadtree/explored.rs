@@ -44,18 +44,29 @@ pub struct Explored {
     /// Stands above the root.
     door: AtomicU32,
     count: Mutex<usize>,
+    most: usize,
 }
 
 impl Default for Explored {
     fn default() -> Explored {
-        Explored { parts: [const { OnceLock::new() }; PARTS], door: AtomicU32::new(0), count: Mutex::new(0) }
+        Explored::of(SPOTS_MAX)
     }
 }
 
 impl Explored {
+    /// With room for so many, [`SPOTS_MAX`] at most.
+    pub fn of(most: usize) -> Explored {
+        Explored {
+            parts: [const { OnceLock::new() }; PARTS],
+            door: AtomicU32::new(0),
+            count: Mutex::new(0),
+            most: most.min(SPOTS_MAX),
+        }
+    }
+
     /// Whether there is no more room.
     pub fn is_full(&self) -> bool {
-        *self.count.lock().unwrap_or_else(PoisonError::into_inner) == SPOTS_MAX
+        *self.count.lock().unwrap_or_else(PoisonError::into_inner) == self.most
     }
 
     /// The spot of a number that this gave.
@@ -95,7 +106,7 @@ impl Explored {
         // Another question may have come here meanwhile.
         let mut number = link.load(Ordering::Acquire);
         if number == 0 {
-            if *count == SPOTS_MAX {
+            if *count == self.most {
                 return Reached::Apart(Box::new(Spot::new(shelf)));
             }
             let part = self.parts[*count / PART]

@@ -16,7 +16,7 @@ pub use build::{Domains, Editor};
 pub use check::{Stats, check};
 pub use explored::{Explored, SPOTS_MAX, Spot};
 pub use node::{ChildRef, Node, Record, child_cell, root_cell};
-pub use shelf::{Below, SHELF, Shelf, bits, first, mask};
+pub use shelf::{Below, SHELF, Shelf, bits, first};
 pub use walk::{Question, Range, Shelves, walk};
 
 /// Records a node stores before it passes the rest on.

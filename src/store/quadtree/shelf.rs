@@ -6,19 +6,12 @@
 use super::node::{ChildRef, Node, Record};
 use super::{CAPACITY, Domains};
 use crate::base::lattice::{Bounds, Point, Quad, WORLD_HALF};
+use crate::height::lod::cut::{Boxes, pack};
 use std::sync::Arc;
 
 /// Records that a mask has bits for.
 pub const SHELF: usize = CAPACITY;
 const _: () = assert!(SHELF == u64::BITS as usize);
-
-/// Discs around the domains of records, CRS units, in columns.
-#[derive(Clone, Copy, Debug)]
-pub struct Discs<'a> {
-    pub x: &'a [f64],
-    pub y: &'a [f64],
-    pub radius: &'a [f64],
-}
 
 /// What decides about a whole shelf, and what a question needs to go on to the children.
 #[derive(Clone, Copy, Debug)]
@@ -56,8 +49,8 @@ pub struct Shelf {
     pub records: Box<[Record]>,
     pub children: [Option<ChildRef>; 4],
     pub rest: Option<Arc<Shelf>>,
-    /// Tops, then bots.
-    heights: Box<[f32]>,
+    /// Tops, then bots, then arms of domains (from the middle to two corners: x, y, x, y).
+    singles: Box<[f32]>,
     /// x, then y, then radii of the discs around domains.
     discs: Box<[f64]>,
 }
@@ -93,7 +86,7 @@ impl Shelf {
             reach: [0.0; 3],
             children: children.map(|c| c.map(below)),
         };
-        let (mut heights, mut discs) = (vec![0.0; 2 * n], vec![0.0; 3 * n]);
+        let (mut singles, mut discs) = (vec![0.0; 6 * n], vec![0.0; 3 * n]);
         for (k, r) in records.iter().enumerate() {
             let quad = domains.domain(r);
             let b = quad.bounds();
@@ -105,9 +98,15 @@ impl Shelf {
             s.top_least = s.top_least.min(r.top);
             s.bot_least = s.bot_least.min(r.bot);
             s.bot_most = s.bot_most.max(r.bot);
-            (heights[k], heights[n + k]) = (r.top, r.bot);
             let disc = around(&quad, middle, size);
             (discs[k], discs[n + k], discs[2 * n + k]) = (disc[0], disc[1], disc[2]);
+            let arm = |c: usize| {
+                let p = quad.0[c];
+                [(p.x - middle.x) as f64 * size, (p.y - middle.y) as f64 * size]
+            };
+            let ([ax, ay], [bx, by]) = (arm(0), arm(1));
+            let single = [r.top, r.bot, ax as f32, ay as f32, bx as f32, by as f32];
+            single.into_iter().enumerate().for_each(|(column, v)| singles[column * n + k] = v);
         }
         s.reach = enclosing(&discs);
         Shelf {
@@ -115,23 +114,37 @@ impl Shelf {
             records: records.into(),
             children,
             rest,
-            heights: heights.into(),
+            singles: singles.into(),
             discs: discs.into(),
         }
     }
 
     pub fn tops(&self) -> &[f32] {
-        &self.heights[..self.records.len()]
+        self.single(0, self.records.len())
     }
 
     pub fn bots(&self) -> &[f32] {
-        &self.heights[self.records.len()..]
+        self.single(1, self.records.len())
     }
 
-    /// Discs around the domains of the first `n` records.
-    pub fn discs(&self, n: usize) -> Discs<'_> {
+    /// The first `n` of a column.
+    fn single(&self, column: usize, n: usize) -> &[f32] {
+        let from = column * self.records.len();
+        &self.singles[from..from + n]
+    }
+
+    /// The boxes of the first `n` records.
+    pub fn boxes(&self, n: usize) -> Boxes<'_> {
         let all = self.records.len();
-        Discs { x: &self.discs[..n], y: &self.discs[all..all + n], radius: &self.discs[2 * all..2 * all + n] }
+        let column = |k: usize| &self.discs[k * all..k * all + n];
+        Boxes {
+            x: column(0),
+            y: column(1),
+            radius: column(2),
+            top: self.single(0, n),
+            bot: self.single(1, n),
+            arms: [2, 3, 4, 5].map(|c| self.single(c, n)),
+        }
     }
 
     /// How many records have at least this top; they come first.
@@ -147,13 +160,12 @@ impl Shelf {
         if self.summary.bot_most <= most {
             return self.summary.all;
         }
-        mask(self.bots().iter().map(|b| *b <= most))
+        let mut truths = [0; SHELF];
+        for (truth, bot) in truths.iter_mut().zip(self.bots()) {
+            *truth = u8::from(*bot <= most);
+        }
+        pack(&truths)
     }
-}
-
-/// Bit k is the k-th truth.
-pub fn mask(truths: impl Iterator<Item = bool>) -> u64 {
-    truths.enumerate().fold(0, |m, (k, t)| m | u64::from(t) << k)
 }
 
 /// The first `n` records.

@@ -4,7 +4,8 @@
 //! `delta = tau w^2 / (D rho + tau |sin a| w)`. The paper's formula uses the distance in place of the depth and is not
 //! conservative; this one is, at any pitch and roll.
 
-use super::{Cut, Foreseen, Region};
+use super::{Boxes, Cut, Foreseen, Region, pack};
+use multiversion::multiversion;
 use crate::base::{Error, Result};
 
 /// A pinhole camera over terrain. Lengths in metres, CRS axes x east, y north.
@@ -108,14 +109,25 @@ impl Camera {
         self.pixels * w * w / (self.focal * rho + self.pixels * s * w)
     }
 
-    /// The least and the greatest tolerance over a disc around a place with this depth (not yet kept from `near`) and this rho:
-    /// depths change by `radius` times the cosine of the pitch at most, rho by `radius`.
     #[inline(always)]
-    fn over_disc(&self, w: f64, rho: f64, radius: f64) -> (f64, f64) {
-        let by = self.pitch_cos * radius;
-        let lo = self.tolerance((w - by).max(self.near), rho + radius);
-        let hi = self.tolerance((w + by).max(self.near), (rho - radius).max(0.0));
-        (lo, hi)
+    fn over_polygon(&self, polygon: &[[f64; 2]]) -> (f64, f64) {
+        let s = self.pitch_sin.abs();
+        let flat = |p: &[f64; 2]| {
+            let (x, y) = self.local(*p);
+            [x, s * y]
+        };
+        let (mut w_min, mut w_max, mut rho_max) = (f64::INFINITY, 0.0f64, 0.0f64);
+        for q in polygon.iter().map(flat) {
+            let w = self.depth(q[0]);
+            w_min = w_min.min(w);
+            w_max = w_max.max(w);
+            rho_max = rho_max.max(q[0] * q[0] + q[1] * q[1]);
+        }
+        let (rho_min, rho_max) = (distance_to_origin(polygon.iter().map(flat)), rho_max.sqrt());
+        let lo = self.tolerance(w_min, rho_max);
+        let hi = self.tolerance(w_max, rho_min);
+        // The last digits: bounds may be loose, never tight in the wrong direction.
+        (lo * (1.0 - 1e-12), if hi.is_nan() { f64::INFINITY } else { hi * (1.0 + 1e-12) })
     }
 
     /// The ground that can be seen while heights stay in `[z_min, z_max]`: a convex polygon, perhaps empty.
@@ -156,46 +168,72 @@ impl Camera {
     }
 }
 
+/// A fraction whose value is a tolerance: it is compared with a height without a division.
+#[derive(Clone, Copy)]
+struct Tolerance(f64, f64);
+
+/// [`Foreseen`] in columns of 0 and 1.
+///
+/// Depths and rho over a domain are those of its corners, but for the least rho: that is no more than the nearest corner's, and no less
+/// than to a box along the axes of the camera. The tolerance grows with the depth and falls with rho. Last digits of places are less
+/// than `hair` metres, those of a distance less than 1e-7 of the longest, those of what follows less than 1e-9 parts.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
+fn foresee(c: &Camera, boxes: &Boxes, kappa: f64, out: &mut [[u8; 64]; 4]) {
+    let (s, cosine, depth_of_height) = (c.pitch_sin.abs(), c.pitch_cos, c.h * c.pitch_sin);
+    let eye = 1.0 + c.eye[0].abs() + c.eye[1].abs() + c.h.abs();
+    let flat = |dx: f64, dy: f64| {
+        [dx * c.forward[0] + dy * c.forward[1], s * (dx * c.forward[1] - dy * c.forward[0])]
+    };
+    let tolerance = |w: f64, rho: f64| {
+        let (w, rho) = (w.max(c.near), rho.max(0.0));
+        Tolerance(c.pixels * w * w, c.focal * rho + c.pixels * s * w)
+    };
+    let n = boxes.x.len().min(64);
+    let (x, y, radius) = (&boxes.x[..n], &boxes.y[..n], &boxes.radius[..n]);
+    let (top, bot) = (&boxes.top[..n], &boxes.bot[..n]);
+    let arms = boxes.arms.map(|a| &a[..n]);
+    let [above_lo, below_hi, not_above_lo, not_below_hi] = out;
+    for k in 0..n {
+        let hair = 1e-9 * (eye + x[k].abs() + y[k].abs()) + 1e-7 * radius[k];
+        let m = flat(x[k] - c.eye[0], y[k] - c.eye[1]);
+        let a = flat(f64::from(arms[0][k]), f64::from(arms[1][k]));
+        let b = flat(f64::from(arms[2][k]), f64::from(arms[3][k]));
+        let half = [a[0].abs().max(b[0].abs()), a[1].abs().max(b[1].abs())];
+        let (w, dw) = (m[0] * cosine + depth_of_height, half[0] * cosine);
+        let mm = m[0] * m[0] + m[1] * m[1];
+        let (ma, aa) = (2.0 * (m[0] * a[0] + m[1] * a[1]).abs(), a[0] * a[0] + a[1] * a[1]);
+        let (mb, bb) = (2.0 * (m[0] * b[0] + m[1] * b[1]).abs(), b[0] * b[0] + b[1] * b[1]);
+        let far = (mm + (aa + ma).max(bb + mb)).sqrt();
+        let near = (mm + (aa - ma).min(bb - mb)).max(0.0).sqrt();
+        let beside = [0, 1].map(|k| (m[k].abs() - half[k] - hair).max(0.0));
+        let nearer = (beside[0] * beside[0] + beside[1] * beside[1]).sqrt();
+        let slack = hair + 1e-7 * far;
+        let lo_least = tolerance(w - dw - hair, far + slack);
+        let lo_most = tolerance(w - dw + hair, far - slack);
+        let hi_least = tolerance(w + dw - hair, near + slack);
+        let hi_most = tolerance(w + dw + hair, nearer * (1.0 - 1e-9));
+        let (top, bot) = (kappa * f64::from(top[k]), f64::from(bot[k]));
+        above_lo[k] = u8::from(lo_most.0 * (1.0 + 1e-9) < top * lo_most.1);
+        below_hi[k] = u8::from(bot * hi_least.1 <= hi_least.0 * (1.0 - 1e-9));
+        not_above_lo[k] = u8::from(lo_least.0 * (1.0 - 1e-9) >= top * lo_least.1);
+        not_below_hi[k] = u8::from(bot * hi_most.1 > hi_most.0 * (1.0 + 1e-9));
+    }
+}
+
 impl Cut for Camera {
     fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64) {
-        let s = self.pitch_sin.abs();
-        let flat = |p: &[f64; 2]| {
-            let (x, y) = self.local(*p);
-            [x, s * y]
-        };
-        let (mut w_min, mut w_max, mut rho_max) = (f64::INFINITY, 0.0f64, 0.0f64);
-        for q in polygon.iter().map(flat) {
-            let w = self.depth(q[0]);
-            w_min = w_min.min(w);
-            w_max = w_max.max(w);
-            rho_max = rho_max.max(q[0] * q[0] + q[1] * q[1]);
+        // Most polygons are whole cells or domains: four corners, one after the other without a loop.
+        match <&[[f64; 2]; 4]>::try_from(polygon) {
+            Ok(quad) => self.over_polygon(quad),
+            Err(_) => self.over_polygon(polygon),
         }
-        let (rho_min, rho_max) = (distance_to_origin(polygon.iter().map(flat)), rho_max.sqrt());
-        let lo = self.tolerance(w_min, rho_max);
-        let hi = self.tolerance(w_max, rho_min);
-        // The last digits: bounds may be loose, never tight in the wrong direction.
-        (lo * (1.0 - 1e-12), if hi.is_nan() { f64::INFINITY } else { hi * (1.0 + 1e-12) })
     }
 
-    /// Last digits of positions are less than `hair` metres, those of what follows less than 1e-9 parts: the larger disc
-    /// grows by them, and the smaller one around the middle stands for its place. Plain arithmetic on columns.
-    fn foresee(&self, x: &[f64], y: &[f64], radius: &[f64], out: &mut [Foreseen]) {
-        let (s, depth_of_height) = (self.pitch_sin.abs(), self.h * self.pitch_sin);
-        let eye = self.eye[0].abs() + self.eye[1].abs() + self.h.abs();
-        for (((x, y), radius), out) in x.iter().zip(y).zip(radius).zip(out) {
-            let hair = 1e-9 * (eye + x.abs() + y.abs());
-            let (along, across) = self.local([*x, *y]);
-            let w = along * self.pitch_cos + depth_of_height;
-            let rho = (along * along + s * across * (s * across)).sqrt();
-            let (lo_least, hi_most) = self.over_disc(w, rho, radius + hair);
-            let (hi_least, lo_most) = self.over_disc(w, rho, hair);
-            *out = Foreseen {
-                lo_least: lo_least * (1.0 - 1e-9),
-                hi_most: if hi_most.is_nan() { f64::INFINITY } else { hi_most * (1.0 + 1e-9) },
-                lo_most: if lo_most.is_nan() { f64::INFINITY } else { lo_most * (1.0 + 1e-9) },
-                hi_least: hi_least * (1.0 - 1e-9),
-            };
-        }
+    fn foresee(&self, boxes: &Boxes, kappa: f64) -> Foreseen {
+        let mut out = [[0; 64]; 4];
+        foresee(self, boxes, kappa, &mut out);
+        let [above_lo, below_hi, not_above_lo, not_below_hi] = out.each_ref().map(pack);
+        Foreseen { above_lo, below_hi, not_above_lo, not_below_hi }
     }
 
     fn at(&self, p: [f64; 2]) -> f64 {
@@ -254,6 +292,7 @@ impl Cut for Camera {
 }
 
 /// Distance of the origin from a convex polygon (0 inside; infinite from none).
+#[inline(always)]
 pub(super) fn distance_to_origin(polygon: impl Iterator<Item = [f64; 2]> + Clone) -> f64 {
     let (mut left, mut right, mut corners) = (false, false, 0);
     let mut least = f64::INFINITY;
@@ -376,5 +415,66 @@ mod tests {
             .over(0.0, 5.0);
         let (a, b, m) = (c.at([100.0, 40.0]), c.at([300.0, -90.0]), c.at([200.0, 0.0]));
         assert!(((a + b) / 2.0 - m).abs() < 1e-9);
+    }
+    /// Domains of all shapes, near the eye and far away, and parts of them.
+    #[test]
+    fn what_is_foreseen_is_what_bounds_say() {
+        let s = &mut 0xface;
+        let mut certain = [0; 4];
+        for n in 0..4000 {
+            let far = 10f64.powf(1.0 + 4.0 * random(s));
+            let place = if n % 4 == 0 { [0.0; 2] } else { [500_000.0, 4_000_000.0] };
+            let near = |s: &mut u64, reach: f64| place.map(|v| v + reach * (2.0 * random(s) - 1.0));
+            let (eye, mut look) = (near(s, far), near(s, far));
+            let level = n % 7 == 0;
+            if n % 11 == 0 && !level {
+                look = eye;
+            }
+            let eye = [eye[0], eye[1], if level { 50.0 } else { 3000.0 * random(s) - 50.0 }];
+            let look = [look[0], look[1], if level { 50.0 } else { -100.0 * random(s) - 51.0 }];
+            let pixels = 0.2 + 4.0 * random(s);
+            let c = Camera::new(eye, look, 45.0, [800, 600], pixels, Some(far)).unwrap().over(0.0, 90.0);
+            let (mut columns, mut arms, mut heights, mut domains) = ([[0.0; 64]; 3], [[0f32; 64]; 4], [[0f32; 64]; 2], Vec::new());
+            for k in 0..64 {
+                let m = near(s, far);
+                let size = far * 10f64.powf(-4.0 * random(s));
+                let (turn, lean) = (6.3 * random(s), 1.57 + random(s) - 0.5);
+                let a = [size * turn.cos(), size * turn.sin()];
+                let b = [size * (turn + lean).cos(), size * (turn + lean).sin()];
+                let domain = [(a, 1.0), (b, 1.0), (a, -1.0), (b, -1.0)].map(|(v, by)| [m[0] + by * v[0], m[1] + by * v[1]]);
+                (columns[0][k], columns[1][k], columns[2][k]) = (m[0], m[1], size * (1.0 + 1e-12));
+                for (arm, v) in arms.iter_mut().zip([a[0], a[1], b[0], b[1]]) {
+                    arm[k] = v as f32;
+                }
+                let (lo, hi) = c.bounds(&domain);
+                let by = |s: &mut u64| 10f64.powf((random(s) - 0.5) * if random(s) < 0.3 { 1e-6 } else { 2.0 });
+                heights[0][k] = if random(s) < 0.05 { f32::INFINITY } else { (lo * by(s)) as f32 };
+                heights[1][k] = if random(s) < 0.05 { 0.0 } else { (hi * by(s)) as f32 };
+                domains.push(domain);
+            }
+            let boxes = Boxes {
+                x: &columns[0],
+                y: &columns[1],
+                radius: &columns[2],
+                top: &heights[0],
+                bot: &heights[1],
+                arms: arms.each_ref().map(|a| &a[..]),
+            };
+            let f = c.foresee(&boxes, 1.1);
+            for (k, domain) in domains.iter().enumerate() {
+                let (top, bot) = (1.1 * f64::from(heights[0][k]), f64::from(heights[1][k]));
+                let told = [f.above_lo, f.below_hi, f.not_above_lo, f.not_below_hi].map(|m| m >> k & 1 == 1);
+                told.iter().zip(&mut certain).for_each(|(t, n)| *n += usize::from(*t));
+                let (lo, hi) = c.bounds(domain);
+                assert!(!told[0] || lo < top, "{c:?} {domain:?}");
+                assert!(!told[1] || bot <= hi, "{c:?} {domain:?}");
+                let part = Region::hull((0..5).map(|_| near(s, far)).collect()).clip(domain);
+                for (lo, hi) in [(lo, hi)].into_iter().chain((!part.is_empty()).then(|| c.bounds(&part))) {
+                    assert!(!told[2] || lo >= top, "{c:?} {domain:?}");
+                    assert!(!told[3] || bot > hi, "{c:?} {domain:?}");
+                }
+            }
+        }
+        assert!(certain.iter().all(|n| *n > 40_000), "{certain:?}");
     }
 }

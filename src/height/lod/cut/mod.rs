@@ -1,5 +1,6 @@
 //! Tolerance surfaces: how much error is allowed where. Predicates only; the tree does not know which is which.
 
+mod bits;
 mod camera;
 mod foci;
 mod raster;
@@ -7,6 +8,7 @@ mod region;
 #[cfg(test)]
 mod testing;
 
+pub use bits::pack;
 pub use camera::Camera;
 pub use foci::{Foci, Focus};
 pub use raster::ErrorRaster;
@@ -20,9 +22,11 @@ pub trait Cut: Sync {
     fn even(&self) -> Option<f64> {
         None
     }
-    /// What [`Cut::bounds`] will say, from discs alone: far cheaper, and enough for most patches. The middle of disc k is at
-    /// `x[k]`, `y[k]`. `out` has as many places; a tolerance that knows no better leaves them as they are.
-    fn foresee(&self, _x: &[f64], _y: &[f64], _radius: &[f64], _out: &mut [Foreseen]) {}
+    /// What is certain of boxes of LOD space, many at a time: far cheaper than [`Cut::bounds`], and enough for most patches. A tolerance
+    /// that knows no better says nothing.
+    fn foresee(&self, _boxes: &Boxes, _kappa: f64) -> Foreseen {
+        Foreseen::default()
+    }
     /// The tolerance at a point.
     fn at(&self, p: [f64; 2]) -> f64;
     /// Its derivatives by x and y there.
@@ -35,24 +39,33 @@ pub trait Cut: Sync {
     }
 }
 
-/// Between what the bounds `(lo, hi)` lie over any convex polygon within a disc.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Foreseen {
-    /// `lo` is no less, `hi` no more.
-    pub lo_least: f64,
-    pub hi_most: f64,
-    /// Over a polygon that holds the middle of the disc: `lo` is no more, `hi` no less.
-    pub lo_most: f64,
-    pub hi_least: f64,
+/// Boxes of LOD space in columns, 64 at most: domains (parallelograms) in CRS units, and how far they reach along the axis of errors,
+/// metres.
+#[derive(Clone, Copy, Debug)]
+pub struct Boxes<'a> {
+    /// Middles of domains.
+    pub x: &'a [f64],
+    pub y: &'a [f64],
+    /// From the middle to the farthest corner.
+    pub radius: &'a [f64],
+    pub top: &'a [f32],
+    pub bot: &'a [f32],
+    /// From the middle to the first corner and to the second: x, y, x, y.
+    pub arms: [&'a [f32]; 4],
 }
 
-impl Foreseen {
-    pub const NOTHING: Foreseen = Foreseen {
-        lo_least: f64::NEG_INFINITY,
-        hi_most: f64::INFINITY,
-        lo_most: f64::INFINITY,
-        hi_least: f64::NEG_INFINITY,
-    };
+/// What is certain of boxes, bit k of the k-th: how their tops, times kappa, and bots compare with the bounds `(lo, hi)` that
+/// [`Cut::bounds`] gives. The first two hold for the bounds over the whole domain, the others for those over any part of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Foreseen {
+    /// `lo < kappa top`
+    pub above_lo: u64,
+    /// `bot <= hi`
+    pub below_hi: u64,
+    /// `lo >= kappa top`
+    pub not_above_lo: u64,
+    /// `bot > hi`
+    pub not_below_hi: u64,
 }
 
 /// The same tolerance everywhere.

@@ -1,5 +1,7 @@
 //! Convex regions of the plane, in CRS units.
 
+use super::pack;
+
 /// A convex region: a polygon, counter-clockwise, possibly empty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
@@ -74,6 +76,12 @@ struct Line {
 }
 
 impl Line {
+    /// How far to the left a point is.
+    #[inline]
+    fn depth(&self, p: [f64; 2]) -> f64 {
+        self.normal[0] * (p[0] - self.from[0]) + self.normal[1] * (p[1] - self.from[1])
+    }
+
     fn side(&self, p: [f64; 2]) -> f64 {
         self.along[0] * (p[1] - self.from[1]) - self.along[1] * (p[0] - self.from[0]) + self.slack
     }
@@ -108,17 +116,13 @@ impl Clip {
     /// of a convex polygon within the disc: of one [`Lies::Inside`] the part is the polygon itself, of one [`Lies::Outside`] it is
     /// empty, and with [`Lies::Middle`] it is not empty if the polygon holds the middle.
     ///
-    /// Distances count from `hairs` times 1e-9 of the coordinates inwards: slack of borders and last digits together are less
-    /// than half of one such hair. A disc that holds a smaller one and is inside by two hairs more has it inside.
+    /// Nothing is certain closer to a border than a hair, 1e-9 of the coordinates: the slack of borders and last digits are less than
+    /// half of it. A disc that is inside by two hairs more has every smaller one in it inside.
     #[inline]
-    pub fn lies(&self, center: [f64; 2], radius: f64, hairs: f64) -> Lies {
-        let hair = hairs * 1e-9 * (1.0 + self.reach + center[0].abs() + center[1].abs());
-        let mut depth = f64::INFINITY;
-        for l in &self.lines {
-            let d = [center[0] - l.from[0], center[1] - l.from[1]];
-            // Of a border without a length there is no distance (NaN, which is passed over); it cuts nothing off.
-            depth = depth.min(l.normal[0] * d[0] + l.normal[1] * d[1]);
-        }
+    pub fn lies(&self, center: [f64; 2], radius: f64) -> Lies {
+        let hair = self.hair(center);
+        // Of a border without a length there is no distance (NaN, which is passed over); it cuts nothing off.
+        let depth = self.lines.iter().fold(f64::INFINITY, |d, l| d.min(l.depth(center)));
         if self.lines.is_empty() || depth < -(radius + hair) {
             Lies::Outside
         } else if depth > radius + hair {
@@ -128,6 +132,42 @@ impl Clip {
         } else {
             Lies::Unclear
         }
+    }
+
+    /// The borders that matter for discs within another, bit k for border k; those beyond the 63rd share the last bit. None: every
+    /// such disc lies [`Lies::Inside`].
+    #[inline]
+    pub fn borders(&self, center: [f64; 2], radius: f64) -> u64 {
+        let near = |l: &Line| !(l.depth(center) > radius + 3.0 * self.hair(center));
+        let borders = self.lines.iter().enumerate().map(|(k, l)| u64::from(near(l)) << k.min(63));
+        if self.lines.is_empty() { u64::MAX } else { borders.fold(0, |a, b| a | b) }
+    }
+
+    #[inline]
+    fn hair(&self, at: [f64; 2]) -> f64 {
+        1e-9 * (1.0 + self.reach + at[0].abs() + at[1].abs())
+    }
+
+    /// Of 64 discs at most, within one that has these [`Clip::borders`]: which lie inside, and which may meet the region, as
+    /// [`Clip::lies`] tells of each.
+    pub fn sort(&self, x: &[f64], y: &[f64], radius: &[f64], borders: u64) -> (u64, u64) {
+        let n = x.len().min(64);
+        let (x, y, radius) = (&x[..n], &y[..n], &radius[..n]);
+        let mut depth = [f64::INFINITY; 64];
+        for (k, l) in self.lines.iter().enumerate() {
+            if borders >> k.min(63) & 1 == 1 {
+                for k in 0..n {
+                    depth[k] = depth[k].min(l.depth([x[k], y[k]]));
+                }
+            }
+        }
+        let (mut inside, mut met) = ([0; 64], [0; 64]);
+        for k in 0..n {
+            let hair = self.hair([x[k], y[k]]);
+            inside[k] = u8::from(depth[k] > radius[k] + hair);
+            met[k] = u8::from(depth[k] >= -(radius[k] + hair));
+        }
+        if self.lines.is_empty() { (0, 0) } else { (pack(&inside), pack(&met)) }
     }
 
     /// The part of a convex polygon inside the region (Sutherland-Hodgman); empty if they do not meet. The slack of the
@@ -211,8 +251,11 @@ mod tests {
                 let a = turn + std::f64::consts::FRAC_PI_2 * k as f64;
                 [center[0] + radius * a.cos(), center[1] + radius * a.sin()]
             });
-            let lies = clip.lies(center, radius, 1.0);
+            let lies = clip.lies(center, radius);
             seen[lies as usize] += 1;
+            let within = radius * (1.0 + random(s));
+            let sorted = clip.sort(&[center[0]], &[center[1]], &[radius], clip.borders(center, within));
+            assert_eq!(sorted, (u64::from(lies == Lies::Inside), u64::from(lies != Lies::Outside)));
             let part = clip.part(&quad);
             match lies {
                 Lies::Inside => assert_eq!(part, quad),
