@@ -141,11 +141,25 @@ impl Grid {
         rows: std::ops::Range<usize>,
     ) -> Result<Vec<Option<Evaluation>>> {
         let cols = self.size(spot)[0];
+        let at = |col: usize, row: usize| {
+            if spot == Spot::Corners { self.corner(col, row) } else { self.centre(col, row) }
+        };
+        if spot != Spot::Slopes && !matches!(self.area, Area::Polygon(_)) {
+            let xs: Vec<f64> = (0..cols).map(|col| at(col, rows.start)[0]).collect();
+            let ys: Vec<f64> = rows.map(|row| at(0, row)[1]).collect();
+            let mut found = terrain.grid(&xs, &ys)?;
+            for (k, e) in found.iter_mut().enumerate() {
+                if !self.contains([xs[k % cols], ys[k / cols]]) {
+                    *e = None;
+                }
+            }
+            return Ok(found);
+        }
         let mut inside = Vec::with_capacity(rows.len() * cols);
         let mut points = Vec::with_capacity(rows.len() * cols);
         for row in rows {
             for col in 0..cols {
-                let p = if spot == Spot::Corners { self.corner(col, row) } else { self.centre(col, row) };
+                let p = at(col, row);
                 inside.push(self.contains(p));
                 if self.contains(p) {
                     points.push(p);

@@ -43,7 +43,18 @@ pub trait Ground {
         tolerance: &Tolerance,
         how: How,
     ) -> Result<Vec<Option<Evaluation>>>;
-    /// The same, with gradients.
+    /// Heights on a grid along the axes: at `(xs[c], ys[r])`, row by row.
+    fn grid(
+        &self,
+        xs: &[f64],
+        ys: &[f64],
+        tolerance: &Tolerance,
+        how: How,
+    ) -> Result<Vec<Option<Evaluation>>> {
+        let points: Vec<[f64; 2]> = ys.iter().flat_map(|y| xs.iter().map(|x| [*x, *y])).collect();
+        self.heights(&points, tolerance, how)
+    }
+    /// Heights at points, with gradients.
     fn slopes(&self, points: &[[f64; 2]], tolerance: &Tolerance, how: How)
     -> Result<Vec<Option<Evaluation>>>;
 }
@@ -87,5 +98,15 @@ impl Ground for Snapshot {
         how: How,
     ) -> Result<Vec<Option<Evaluation>>> {
         Snapshot::slopes(self, points, tolerance, how)
+    }
+
+    fn grid(
+        &self,
+        xs: &[f64],
+        ys: &[f64],
+        tolerance: &Tolerance,
+        how: How,
+    ) -> Result<Vec<Option<Evaluation>>> {
+        Ok(Snapshot::grid(self, xs, ys, tolerance, how)?.evaluations())
     }
 }

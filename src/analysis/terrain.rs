@@ -35,6 +35,11 @@ impl<'a> Terrain<'a> {
         self.ground.heights(points, &self.tolerance, self.how)
     }
 
+    /// Heights on a grid along the axes: at `(xs[c], ys[r])`, row by row.
+    pub fn grid(&self, xs: &[f64], ys: &[f64]) -> Result<Vec<Option<Evaluation>>> {
+        self.ground.grid(xs, ys, &self.tolerance, self.how)
+    }
+
     /// Heights with gradients, metres per CRS unit.
     pub fn slopes(&self, points: &[[f64; 2]]) -> Result<Vec<Option<Evaluation>>> {
         self.ground.slopes(points, &self.tolerance, self.how)

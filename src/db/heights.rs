@@ -5,7 +5,7 @@ use super::query::{Ground, Makers, Tolerance};
 use crate::base::lattice::WORLD_HALF;
 use crate::base::{Error, Result};
 use crate::height::lod::cut::{Region, bounds};
-use crate::height::surface::{Evaluation, Hessian, How, Planes, Seams};
+use crate::height::surface::{Evaluation, Hessian, How, Ordered, Planes, Seams};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -27,10 +27,10 @@ impl Ground<'_> {
         }
         let mut out = Vec::with_capacity(points.len());
         for points in points.chunks(ORDERED_MAX) {
-            let order = self.surface.order(points);
-            let planes = self.in_order(points, &order)?;
+            let ordered = self.surface.order(points);
+            let planes = self.in_order(&ordered)?;
             let mut place = vec![0u32; points.len()];
-            order.iter().enumerate().for_each(|(at, k)| place[*k as usize] = at as u32);
+            ordered.numbers.iter().enumerate().for_each(|(at, k)| place[*k as usize] = at as u32);
             out.par_extend(place.par_iter().with_min_len(PIECE).map(|at| planes.evaluation(*at as usize)));
         }
         Ok(out)
@@ -38,24 +38,24 @@ impl Ground<'_> {
 
     /// The same without gradients and structures, for callers that need some numbers of many points.
     pub fn planes(&self, points: &[[f64; 2]]) -> Result<Planes> {
-        let mut out = Planes::new(points.len(), self.surface.corrected);
+        let mut out = Planes::unfilled(points.len(), self.surface.corrected);
         for (n, points) in points.chunks(ORDERED_MAX).enumerate() {
-            let order = self.surface.order(points);
-            let planes = self.in_order(points, &order)?;
-            for (at, k) in order.iter().enumerate() {
+            let ordered = self.surface.order(points);
+            let planes = self.in_order(&ordered)?;
+            for (at, k) in ordered.numbers.iter().enumerate() {
                 out.put_one(n * ORDERED_MAX + *k as usize, &planes, at);
             }
         }
         Ok(out)
     }
 
-    fn in_order(&self, points: &[[f64; 2]], order: &[u32]) -> Result<Planes> {
-        let mut planes = Planes::new(points.len(), self.surface.corrected);
+    fn in_order(&self, ordered: &Ordered) -> Result<Planes> {
+        let mut planes = Planes::unfilled(ordered.points.len(), self.surface.corrected);
         planes
             .bands(PIECE)
             .into_par_iter()
-            .zip(order.par_chunks(PIECE))
-            .try_for_each(|(mut band, order)| self.sheet().scattered(points, order, &mut band))?;
+            .zip(ordered.points.par_chunks(PIECE))
+            .try_for_each(|(mut band, points)| self.sheet().scattered(points, &mut band))?;
         Ok(planes)
     }
 
@@ -69,7 +69,7 @@ impl Ground<'_> {
 
     /// As [`Ground::grid`], in memory that was used before.
     pub fn grid_into(&self, xs: &[f64], ys: &[f64], planes: &mut Planes) -> Result<()> {
-        planes.clear(xs.len() * ys.len(), self.surface.corrected);
+        planes.resize(xs.len() * ys.len(), self.surface.corrected);
         planes
             .bands((xs.len() * ROWS).max(1))
             .into_par_iter()
@@ -125,6 +125,26 @@ impl Snapshot {
         how: impl Into<How>,
     ) -> Result<Vec<Option<Evaluation>>> {
         self.scattered(points, tolerance, how.into(), &|g, p| g.heights(p))
+    }
+
+    /// As [`Snapshot::heights`], without structures: a third of the memory.
+    pub fn planes(
+        &self,
+        points: &[[f64; 2]],
+        tolerance: &Tolerance,
+        how: impl Into<How>,
+    ) -> Result<Planes> {
+        let how = how.into();
+        checked(tolerance)?;
+        let corrected = how.seams != Seams::Off;
+        let b = bounds(points);
+        let reach = WORLD_HALF as f64 * self.unit.size();
+        let near = points.iter().all(|p| p.iter().all(|v| v.abs() <= reach))
+            && (b[2] - b[0]).max(b[3] - b[1]) <= self.finest() * window_steps(points.len());
+        if points.is_empty() || !near || self.near(b).is_empty() {
+            return Ok(Planes::of(&self.heights(points, tolerance, how)?, corrected));
+        }
+        self.ground_around(b, tolerance, how)?.planes(points)
     }
 
     /// As [`Snapshot::heights`], with the gradients of the surface.

@@ -152,16 +152,23 @@ impl<'a> Raster<'a> {
         for row0 in (0..self.rows).step_by(BAND) {
             go_on(going, "heights", row0 as f64 / self.rows as f64)?;
             let rows = BAND.min(self.rows - row0);
-            let (which, points) = self.points(row0..row0 + rows);
-            let found = s.heights(&points, &query.tolerance, query.how)?;
-            let mut z = vec![f32::NAN; rows * self.cols];
-            for (k, e) in which.into_iter().zip(found) {
-                let Some(e) = e else { continue };
-                if e.certified {
-                    error = error.max(e.error_m);
+            let (mut z, which, found);
+            if self.coords.is_none() && self.mask.is_none() {
+                let xs: Vec<f64> = (0..self.cols).map(|c| self.center(c, row0)[0]).collect();
+                let ys: Vec<f64> = (row0..row0 + rows).map(|r| self.center(0, r)[1]).collect();
+                found = s.grid(&xs, &ys, &query.tolerance, query.how)?;
+                z = found.z.iter().map(|z| *z as f32).collect::<Vec<f32>>();
+            } else {
+                let points;
+                (which, points) = self.points(row0..row0 + rows);
+                found = s.planes(&points, &query.tolerance, query.how)?;
+                z = vec![f32::NAN; rows * self.cols];
+                for (k, height) in which.into_iter().zip(&found.z) {
+                    z[k] = *height as f32;
                 }
-                z[k] = e.z as f32;
             }
+            let certified = (0..found.len()).filter(|k| found.is_certified(*k));
+            error = certified.map(|k| found.error_m[k]).fold(error, f64::max);
             f(row0, rows, &z)?;
         }
         Ok(error)

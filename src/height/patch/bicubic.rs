@@ -14,12 +14,19 @@
 
 use super::{Local, Vertices, cell};
 use crate::height::lod::SIDE;
+use multiversion::multiversion;
 
-/// Value, second derivatives by s and by t, and their mixed one, by ss and tt, at a vertex.
-type Knot = [f64; 4];
-
-/// A bicubic patch.
-pub struct Spline([Knot; SIDE * SIDE]);
+/// A bicubic patch: four numbers at each vertex, each kind in an array of its own, so that a line through the patch reads
+/// along rows.
+pub struct Spline {
+    values: Vertices,
+    /// Second derivatives by s.
+    by_s: Vertices,
+    /// By t.
+    by_t: Vertices,
+    /// The mixed fourth one, by ss and tt.
+    mixed: Vertices,
+}
 
 /// Pivots of the elimination below: 1 / (4 - the one before).
 const PIVOTS: [f64; SIDE - 1] = {
@@ -34,18 +41,39 @@ const PIVOTS: [f64; SIDE - 1] = {
 
 const SIXTH: f64 = 1.0 / 6.0;
 
-/// Second derivatives of the natural spline through 33 values: m[k-1] + 4 m[k] + m[k+1] = 6 (second difference), solved
-/// by elimination from the first to the last, and back.
-fn second_derivatives(z: &[f64; SIDE]) -> [f64; SIDE] {
-    let mut m = [0.0; SIDE];
-    for k in 1..SIDE - 1 {
-        let d = 6.0 * ((z[k + 1] - z[k]) - (z[k] - z[k - 1]));
-        m[k] = (d - m[k - 1]) * PIVOTS[k];
+/// Second derivatives by t of the natural splines through the columns of `z`: m[b-1] + 4 m[b] + m[b+1] = 6 (second
+/// difference), solved by elimination from the first row to the last, and back; 0 at both ends. Columns lie side by side in
+/// vectors.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn second_derivatives(z: &Vertices, m: &mut Vertices) {
+    m[..SIDE].fill(0.0);
+    m[(SIDE - 1) * SIDE..].fill(0.0);
+    for (b, pivot) in PIVOTS.iter().enumerate().skip(1) {
+        let (done, rest) = m.split_at_mut(b * SIDE);
+        let (before, here) = (&done[(b - 1) * SIDE..], &mut rest[..SIDE]);
+        let [low, middle, high] = [b - 1, b, b + 1].map(|b| &z[b * SIDE..][..SIDE]);
+        for a in 0..SIDE {
+            let d = 6.0 * ((high[a] - middle[a]) - (middle[a] - low[a]));
+            here[a] = (d - before[a]) * pivot;
+        }
     }
-    for k in (1..SIDE - 1).rev() {
-        m[k] -= PIVOTS[k] * m[k + 1];
+    for (b, pivot) in PIVOTS.iter().enumerate().skip(1).rev() {
+        let (rest, done) = m.split_at_mut((b + 1) * SIDE);
+        for (m, next) in rest[b * SIDE..].iter_mut().zip(&done[..SIDE]) {
+            *m -= pivot * next;
+        }
     }
-    m
+}
+
+/// Rows as columns.
+fn transposed(z: &Vertices) -> Vertices {
+    let mut out = [0.0; SIDE * SIDE];
+    for (b, row) in z.chunks_exact(SIDE).enumerate() {
+        for (a, v) in row.iter().enumerate() {
+            out[a * SIDE + b] = *v;
+        }
+    }
+    out
 }
 
 /// One interval at x: values and second derivatives at its ends.
@@ -71,23 +99,13 @@ fn bend(x: f64, m: f64, n: f64) -> f64 {
 
 impl Spline {
     pub fn new(z: &Vertices) -> Spline {
-        let mut knots: [Knot; SIDE * SIDE] = z.map(|z| [z, 0.0, 0.0, 0.0]);
+        let [mut by_s, mut by_t, mut mixed] = [[0.0; SIDE * SIDE]; 3];
         // Along s for the values; then along t for both.
-        for b in 0..SIDE {
-            let row = std::array::from_fn(|a| knots[b * SIDE + a][0]);
-            for (a, m) in second_derivatives(&row).into_iter().enumerate() {
-                knots[b * SIDE + a][1] = m;
-            }
-        }
-        for of in [0, 1] {
-            for a in 0..SIDE {
-                let column = std::array::from_fn(|b| knots[b * SIDE + a][of]);
-                for (b, m) in second_derivatives(&column).into_iter().enumerate() {
-                    knots[b * SIDE + a][of + 2] = m;
-                }
-            }
-        }
-        Spline(knots)
+        second_derivatives(&transposed(z), &mut by_s);
+        let by_s = transposed(&by_s);
+        second_derivatives(z, &mut by_t);
+        second_derivatives(&by_s, &mut mixed);
+        Spline { values: *z, by_s, by_t, mixed }
     }
 
     /// At (s, t) in cells from the first vertex, `0 <= s, t <= 32`: along t first, then along s.
@@ -95,12 +113,15 @@ impl Spline {
     pub fn evaluate(&self, s: f64, t: f64) -> Local {
         let ((a, x), (b, y)) = (cell(s), cell(t));
         let at = b * SIDE + a;
-        let (low, high) = (&self.0[at..at + 2], &self.0[at + SIDE..at + SIDE + 2]);
         // Value and second derivative by s of the two columns, and their first two derivatives by t.
         let column = |k: usize, of: usize, f: fn(f64, f64, f64, f64, f64) -> f64| {
-            f(y, low[k][of], high[k][of], low[k][of + 2], high[k][of + 2])
+            let (v, m) = self.kinds(of);
+            f(y, v[at + k], v[at + k + SIDE], m[at + k], m[at + k + SIDE])
         };
-        let bent = |k: usize, of: usize| bend(y, low[k][of + 2], high[k][of + 2]);
+        let bent = |k: usize, of: usize| {
+            let (_, m) = self.kinds(of);
+            bend(y, m[at + k], m[at + k + SIDE])
+        };
         let [p, q, m, n] = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(k, of)| column(k, of, value));
         let [pt, qt, mt, nt] = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(k, of)| column(k, of, slope));
         let [ptt, qtt, mtt, ntt] = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(k, of)| bent(k, of));
@@ -111,44 +132,52 @@ impl Spline {
         }
     }
 
+    /// Values (0) or second derivatives by s (1), and the second derivatives of those by t.
+    #[inline(always)]
+    fn kinds(&self, of: usize) -> (&Vertices, &Vertices) {
+        if of == 0 { (&self.values, &self.by_t) } else { (&self.by_s, &self.mixed) }
+    }
+
     /// Its height at `x` in column `a`, `y` in row `b` of its cells. The same bits as [`Spline::evaluate`].
     #[inline(always)]
     pub fn height(&self, a: usize, x: f64, b: usize, y: f64) -> f64 {
         let at = b * SIDE + a;
-        let (low, high) = (&self.0[at..at + 2], &self.0[at + SIDE..at + SIDE + 2]);
-        let column = |k: usize, of: usize| value(y, low[k][of], high[k][of], low[k][of + 2], high[k][of + 2]);
+        let column = |k: usize, of: usize| {
+            let (v, m) = self.kinds(of);
+            value(y, v[at + k], v[at + k + SIDE], m[at + k], m[at + k + SIDE])
+        };
         value(x, column(0, 0), column(1, 0), column(0, 1), column(1, 1))
     }
 
     /// The spline along s at a fixed t: at `y` in the row of cells `b`. The same bits as [`Spline::evaluate`].
     pub fn line(&self, b: usize, y: f64) -> Line {
-        let mut line = Line::FLAT;
-        self.part_of_line(b, y, 0, SIDE - 1, &mut line);
+        let mut line = Line { values: [0.0; SIDE], bends: [0.0; SIDE] };
+        self.along(b, y, &mut line.values, &mut line.bends);
         line
     }
 
-    /// The knots `first` to `last` of [`Spline::line`].
+    /// The numbers of [`Spline::line`]: into the first 33 of each.
     #[inline(always)]
-    pub fn part_of_line(&self, b: usize, y: f64, first: usize, last: usize, line: &mut Line) {
-        let (low, high) = (&self.0[b * SIDE..][..SIDE], &self.0[(b + 1) * SIDE..][..SIDE]);
-        let (first, last) = (first.min(SIDE - 1), last.min(SIDE - 1));
-        for a in first..=last {
-            let (l, h) = (&low[a], &high[a]);
-            line.values[a] = value(y, l[0], h[0], l[2], h[2]);
-            line.bends[a] = value(y, l[1], h[1], l[3], h[3]);
+    pub fn along(&self, b: usize, y: f64, values: &mut [f64], bends: &mut [f64]) {
+        let at = b * SIDE;
+        for (of, to) in [values, bends].into_iter().enumerate() {
+            let (v, m) = self.kinds(of);
+            let (low, high) = (&v[at..][..SIDE], &v[at + SIDE..][..SIDE]);
+            let (m, n) = (&m[at..][..SIDE], &m[at + SIDE..][..SIDE]);
+            for (a, to) in to[..SIDE].iter_mut().enumerate() {
+                *to = value(y, low[a], high[a], m[a], n[a]);
+            }
         }
     }
 }
 
 /// A spline along s: values and second derivatives at its 33 knots.
 pub struct Line {
-    pub values: [f64; SIDE],
-    pub bends: [f64; SIDE],
+    values: [f64; SIDE],
+    bends: [f64; SIDE],
 }
 
 impl Line {
-    pub const FLAT: Line = Line { values: [0.0; SIDE], bends: [0.0; SIDE] };
-
     /// At `x` in cell `a`.
     #[inline(always)]
     pub fn at(&self, a: usize, x: f64) -> f64 {
@@ -166,14 +195,15 @@ const AROUND: [(i32, i32); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-
 /// the order of [`AROUND`]; a neighbour says its own height plus half its rise from the vertex beyond it, if that one is
 /// known. So slopes halve with each round and nothing runs away. Where nothing is known at all, heights stay as they are.
 pub fn extend(z: &mut Vertices, open: &mut [bool; SIDE * SIDE]) {
-    if open.iter().all(|o| *o) {
+    let mut left = open.iter().filter(|o| **o).count();
+    if left == 0 || left == open.len() {
         return;
     }
     let side = SIDE as i32;
     let number = |a: i32, b: i32| {
         ((0..side).contains(&a) && (0..side).contains(&b)).then_some((b * side + a) as usize)
     };
-    while open.iter().any(|o| *o) {
+    while left > 0 {
         let mut found = Vec::new();
         for k in (0..SIDE * SIDE).filter(|k| open[*k]) {
             let (a, b) = ((k % SIDE) as i32, (k / SIDE) as i32);
@@ -188,6 +218,7 @@ pub fn extend(z: &mut Vertices, open: &mut [bool; SIDE * SIDE]) {
                 found.push((k, sum / f64::from(count)));
             }
         }
+        left -= found.len();
         for (k, height) in found {
             z[k] = height;
             open[k] = false;

@@ -26,12 +26,12 @@ pub fn height(z: &Vertices, a: usize, x: f64, b: usize, y: f64) -> f64 {
     left + (right - left) * x
 }
 
-/// Heights at the vertex columns `first` to `last`, at `y` in row `b` of its cells: between them the patch is linear. From
-/// these come the bits of [`evaluate`].
+/// Heights at the 33 columns of vertices, at `y` in row `b` of its cells, into the first 33 of `to`: between them the patch is
+/// linear. From these come the bits of [`evaluate`].
 #[inline(always)]
-pub fn line(z: &Vertices, b: usize, y: f64, first: usize, last: usize, to: &mut [f64; SIDE]) {
+pub fn line(z: &Vertices, b: usize, y: f64, to: &mut [f64]) {
     let (low, high) = (&z[b * SIDE..][..SIDE], &z[(b + 1) * SIDE..][..SIDE]);
-    for a in first..=last.min(SIDE - 1) {
-        to[a] = low[a] + (high[a] - low[a]) * y;
+    for ((to, low), high) in to[..SIDE].iter_mut().zip(low).zip(high) {
+        *to = low + (high - low) * y;
     }
 }

@@ -212,8 +212,8 @@ pub type Explained = (Evaluation, Vec<(usize, f64)>);
 /// Shares of the sum of weights below this are rounding: such a patch does not count as a contributor.
 pub(super) const SHARE_MIN: f64 = 1e-12;
 
-/// Patches that a thread keeps at hand.
-const LATELY: usize = 64;
+/// Patches, and blocks of cells, that a thread keeps at hand.
+const LATELY: usize = 256;
 /// Surveys whose state at a point needs no allocation.
 pub(super) const FEW: usize = 8;
 

@@ -34,6 +34,7 @@ pub use eval::{Blend, Evaluation, Hessian, How, Patch, Seams, Sheet, Source, Sur
 pub use hood::{Hood, outside};
 pub use planes::{Band, Planes};
 pub use real::{Dual, Jet, Real};
+pub use scattered::Ordered;
 pub use survey::SurveyField;
 
 /// Ratio over which weights fade in and out along the error axis.

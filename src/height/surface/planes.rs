@@ -37,23 +37,37 @@ impl Planes {
 
     /// Of `points` points without data, with room for corrections of seams where `corrected`.
     pub fn new(points: usize, corrected: bool) -> Planes {
+        Planes {
+            z: vec![f64::NAN; points],
+            error_m: vec![f64::NAN; points],
+            accuracy_m: vec![f32::NAN; points],
+            marks: vec![0; points],
+            correction_m: vec![0.0; if corrected { points } else { 0 }],
+        }
+    }
+
+    /// Of as many points, to be filled: what they say until then has no meaning. Memory is touched once only.
+    pub fn unfilled(points: usize, corrected: bool) -> Planes {
         let mut planes = Planes::default();
-        planes.clear(points, corrected);
+        planes.resize(points, corrected);
         planes
     }
 
-    /// Makes it one of `points` points without data, in the memory that it has.
-    pub fn clear(&mut self, points: usize, corrected: bool) {
-        self.z.clear();
-        self.z.resize(points, f64::NAN);
-        self.error_m.clear();
-        self.error_m.resize(points, f64::NAN);
-        self.accuracy_m.clear();
-        self.accuracy_m.resize(points, f32::NAN);
-        self.marks.clear();
-        self.marks.resize(points, 0);
-        self.correction_m.clear();
-        self.correction_m.resize(if corrected { points } else { 0 }, 0.0);
+    /// Makes it one of `points` points in the memory that it has, to be filled as [`Planes::unfilled`].
+    pub fn resize(&mut self, points: usize, corrected: bool) {
+        fn to<T: Clone>(plane: &mut Vec<T>, points: usize, zero: T) {
+            if plane.capacity() < points {
+                // Fresh memory comes as zeros.
+                *plane = vec![zero; points];
+            } else {
+                plane.resize(points, zero);
+            }
+        }
+        to(&mut self.z, points, 0.0);
+        to(&mut self.error_m, points, 0.0);
+        to(&mut self.accuracy_m, points, 0.0);
+        to(&mut self.marks, points, 0);
+        to(&mut self.correction_m, if corrected { points } else { 0 }, 0.0);
     }
 
     /// Of points whose evaluations are known.

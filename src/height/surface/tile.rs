@@ -7,10 +7,11 @@
 //! points ([`run`](super::run)).
 
 use super::eval::{Blend, Patch, SHARE_MIN, Sheet};
-use super::lanes::{self, Along, Lane, RUN, Sums};
+use super::lanes::{self, Along, Lane, RUN, Sums, WIDTH};
 use super::run::{Cover, Runs};
 use super::{Band, Planes, SurveyField};
 use crate::base::Result;
+use crate::height::lod::SIDE;
 use crate::height::patch::{Shape, bicubic, bilinear};
 use multiversion::multiversion;
 
@@ -19,12 +20,9 @@ pub const TILE: usize = RUN;
 /// Patches of a plain tile, at most: with more, smaller tiles cost less.
 const PARTS_MAX: usize = 64;
 
-/// A patch that contributes to a plain tile.
+/// A patch that contributes to a plain tile; where its columns and rows lie in it is in `Tiles::along`.
 struct Part {
     shape: Shape,
-    /// By column and by row of the tile.
-    a: Along,
-    b: Along,
     /// Columns and rows in its domain: first, and end.
     cols: [usize; 2],
     rows: [usize; 2],
@@ -38,6 +36,24 @@ struct Part {
     /// The least that it weighs anywhere, and whether that is more than a rounding error's share.
     least: f64,
     counts: bool,
+}
+
+/// What the work on a row of a tile needs, kept between rows.
+struct Line {
+    sums: Sums,
+    errors: Lane,
+    heights: Lane,
+    /// Along a bilinear patch: heights at its vertices, with room for columns before the first and behind the last.
+    values: [f64; SIDE + 2 * WIDTH],
+    /// Along a bicubic one, second derivatives as well.
+    bends: [f64; SIDE + 2 * WIDTH],
+}
+
+impl Default for Line {
+    fn default() -> Line {
+        let (values, bends) = ([0.0; SIDE + 2 * WIDTH], [0.0; SIDE + 2 * WIDTH]);
+        Line { sums: Sums::NONE, errors: [0.0; RUN], heights: [0.0; RUN], values, bends }
+    }
 }
 
 /// Index coordinates of a survey by column and by row of the tile.
@@ -54,6 +70,9 @@ pub(super) struct Tiles {
     near: Vec<u32>,
     met: Vec<Met>,
     parts: Vec<Part>,
+    /// Of each part: by column and by row. Longer than `parts` where there were more of them before.
+    along: Vec<[Along; 2]>,
+    line: Line,
 }
 
 /// Where a block of the grid lies in the band that is filled, and how long rows of the band are.
@@ -177,7 +196,7 @@ impl Sheet<'_> {
             let (accuracy, marks) = (&mut band.accuracy_m[here.clone()], &mut band.marks[here]);
             accuracy.fill(best);
             marks.fill(Planes::DATA | Planes::CERTIFIED);
-            if !row(&s.parts, r, z, error) {
+            if !row(&s.parts, &s.along, r, &mut s.line, z, error) {
                 for k in (0..xs.len()).filter(|k| z[*k].is_nan()) {
                     (error[k], accuracy[k], marks[k]) = (f64::NAN, f32::NAN, 0);
                 }
@@ -229,9 +248,14 @@ impl Sheet<'_> {
         let patch = &self.surface.patches[number as usize];
         let (survey, met) = (&self.surface.surveys[patch.survey], &s.met[patch.survey]);
         let (domain, r) = (patch.place.domain(), f64::from(1u32 << patch.place.level));
-        let (mut a, mut b) = (Along::NONE, Along::NONE);
-        lanes::along(&met.i, cols, domain.i0 as f64, 1.0 / r, kind, &mut a);
-        lanes::along(&met.j, rows, domain.j0 as f64, 1.0 / r, kind, &mut b);
+        if s.along.len() == s.parts.len() {
+            s.along.push([Along::NONE, Along::NONE]);
+        }
+        let [a, b] = &mut s.along[s.parts.len()];
+        lanes::along(&met.i, cols, domain.i0 as f64, 1.0 / r, kind, a);
+        lanes::along(&met.j, rows, domain.j0 as f64, 1.0 / r, kind, b);
+        // Rows are worked in whole vectors: a column behind the last one weighs nothing.
+        a.weight[cols..cols.next_multiple_of(WIDTH)].fill(0.0);
         // Weights rise to the middle and fall again: those above 0 are next to each other, the least is at an end.
         let within = |w: &[f64]| {
             let first = w.iter().position(|w| *w > 0.0)?;
@@ -244,12 +268,11 @@ impl Sheet<'_> {
         let volume = kind.volume() / (survey.half[0] * r * (survey.half[1] * r));
         let cells = &a.cell[cols[0]..cols[1]];
         let ends = [cells[0], cells[cells.len() - 1]].map(|c| c as usize);
+        let straight = cells.windows(2).all(|c| c[1] == c[0] + 1);
         Ok(Some(Part {
             shape: self.shape(number, &mut s.runs.points)?.clone(),
-            straight: cells.windows(2).all(|c| c[1] == c[0] + 1),
+            straight,
             cells: [ends[0].min(ends[1]), ends[0].max(ends[1])],
-            a,
-            b,
             cols,
             rows,
             volume,
@@ -263,95 +286,122 @@ impl Sheet<'_> {
 
 /// One row of a tile: heights, NaN where no patch contributes, and errors. Says whether all points have a height.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
-fn row(parts: &[Part], r: usize, z: &mut [f64], error: &mut [f64]) -> bool {
+fn row(
+    parts: &[Part],
+    along: &[[Along; 2]],
+    r: usize,
+    line: &mut Line,
+    z: &mut [f64],
+    error: &mut [f64],
+) -> bool {
+    row_of(parts, along, r, line, z, error)
+}
+
+#[inline(always)]
+fn row_of(
+    parts: &[Part],
+    along: &[[Along; 2]],
+    r: usize,
+    line: &mut Line,
+    z: &mut [f64],
+    error: &mut [f64],
+) -> bool {
     let count = z.len().min(RUN);
-    let mut sums = Sums::NONE;
-    let mut errors = [f64::NEG_INFINITY; RUN];
-    let (mut line, mut f) = (bicubic::Line::FLAT, [0.0; RUN]);
-    for part in parts.iter().filter(|p| p.rows[0] <= r && r < p.rows[1]) {
-        part.heights(r, &mut line, &mut f);
-        let (c0, c1) = (part.cols[0], part.cols[1].min(RUN));
-        let wb = part.b.weight[r];
+    let whole = count.next_multiple_of(WIDTH).min(RUN);
+    line.sums.weights[..whole].fill(0.0);
+    line.sums.sum[..whole].fill(0.0);
+    line.errors[..whole].fill(f64::NEG_INFINITY);
+    let here = || parts.iter().zip(along).filter(|(p, _)| p.rows[0] <= r && r < p.rows[1]);
+    for (part, [a, b]) in here() {
+        part.heights(a, b.cell[r] as usize, b.x[r], line);
+        let (first, end) = part.vectors();
+        let wb = b.weight[r];
         let bound = if part.counts { part.bound } else { f64::NEG_INFINITY };
-        for k in c0..c1 {
-            let w = (part.a.weight[k] * wb) * part.volume * part.level;
-            lanes::add_one(&mut sums, k, w, f[k]);
-            errors[k] = if bound > errors[k] { bound } else { errors[k] };
+        for k in first..end {
+            let w = (a.weight[k] * wb) * part.volume * part.level;
+            lanes::add_one(&mut line.sums, k, w, line.heights[k]);
+            let raised = w > 0.0 && bound > line.errors[k];
+            line.errors[k] = if raised { bound } else { line.errors[k] };
         }
     }
-    for part in parts.iter().filter(|p| !p.counts && p.rows[0] <= r && r < p.rows[1]) {
+    for (part, [a, b]) in here().filter(|(p, _)| !p.counts) {
         for k in part.cols[0]..part.cols[1].min(RUN) {
-            let w = (part.a.weight[k] * part.b.weight[r]) * part.volume * part.level;
-            if w > SHARE_MIN * sums.weights[k] && part.bound > errors[k] {
-                errors[k] = part.bound;
+            let w = (a.weight[k] * b.weight[r]) * part.volume * part.level;
+            if w > SHARE_MIN * line.sums.weights[k] && part.bound > line.errors[k] {
+                line.errors[k] = part.bound;
             }
         }
     }
-    let mut least = f64::INFINITY;
+    let mut all = true;
     for k in 0..count {
-        let w = sums.weights[k];
-        let height = sums.zero[k] + sums.sum[k] / w;
+        let w = line.sums.weights[k];
+        let height = line.sums.zero[k] + line.sums.sum[k] / w;
         z[k] = if w > 0.0 { height } else { f64::NAN };
+        all &= w > 0.0;
     }
-    error[..count].copy_from_slice(&errors[..count]);
-    for w in &sums.weights[..count] {
-        least = if *w < least { *w } else { least };
-    }
-    least > 0.0
+    error[..count].copy_from_slice(&line.errors[..count]);
+    all
 }
 
 impl Part {
-    /// Heights of the patch at the columns in its domain.
+    /// The columns in its domain, in whole vectors: where the first begins and the last ends.
     #[inline(always)]
-    fn heights(&self, r: usize, line: &mut bicubic::Line, f: &mut Lane) {
-        let (c0, c1) = (self.cols[0], self.cols[1].min(RUN));
-        let (b, y) = (self.b.cell[r] as usize, self.b.x[r]);
+    fn vectors(&self) -> (usize, usize) {
+        (self.cols[0] / WIDTH * WIDTH, self.cols[1].next_multiple_of(WIDTH).min(RUN))
+    }
+
+    /// Heights of the patch at the columns in its domain, at `y` in its row `b` of cells. What comes out beside the domain, to
+    /// whole vectors, is no height and weighs nothing.
+    #[inline(always)]
+    fn heights(&self, a: &Along, b: usize, y: f64, line: &mut Line) {
+        let (first, end) = self.vectors();
+        let f = &mut line.heights;
         let [lo, hi] = self.cells;
-        let columns = |k: usize| (self.a.cell[k] as usize, self.a.x[k]);
         // A line through the vertices of the row pays where columns share them.
-        let lined = 2 * (c1 - c0) >= hi - lo;
+        let lined = 2 * (self.cols[1] - self.cols[0]) >= hi - lo;
+        // The vertex before column `first`, were the patch longer.
+        let from = (lo + WIDTH + first).wrapping_sub(self.cols[0]);
         match &self.shape {
             Shape::Bilinear(z) if lined => {
-                bilinear::line(z, b, y, lo, hi + 1, &mut line.values);
+                bilinear::line(z, b, y, &mut line.values[WIDTH..]);
                 let v = &line.values;
-                if self.straight {
-                    let (f, x) = (&mut f[c0..c1], &self.a.x[c0..c1]);
-                    let v = &v[lo..lo + f.len() + 1];
-                    for (k, (f, x)) in f.iter_mut().zip(x).enumerate() {
-                        *f = v[k] + (v[k + 1] - v[k]) * x;
+                if self.straight && from + (end - first) < v.len() {
+                    let (v, w) = (&v[from..from + (end - first)], &v[from + 1..from + 1 + (end - first)]);
+                    for (((f, x), v), w) in f[first..end].iter_mut().zip(&a.x[first..end]).zip(v).zip(w) {
+                        *f = v + (w - v) * x;
                     }
                 } else {
-                    for k in c0..c1 {
-                        let (a, x) = columns(k);
-                        f[k] = v[a] + (v[a + 1] - v[a]) * x;
+                    for k in first..end {
+                        let at = (a.cell[k] as usize).min(SIDE - 2) + WIDTH;
+                        f[k] = v[at] + (v[at + 1] - v[at]) * a.x[k];
                     }
                 }
             }
             Shape::Bilinear(z) => {
-                for k in c0..c1 {
-                    let (a, x) = columns(k);
-                    f[k] = bilinear::height(z, a, x, b, y);
+                for k in self.cols[0]..self.cols[1] {
+                    f[k] = bilinear::height(z, a.cell[k] as usize, a.x[k], b, y);
                 }
             }
             Shape::Bicubic(spline) if lined => {
-                spline.part_of_line(b, y, lo, hi + 1, line);
-                if self.straight {
-                    let (f, x) = (&mut f[c0..c1], &self.a.x[c0..c1]);
-                    let (v, m) = (&line.values[lo..lo + f.len() + 1], &line.bends[lo..lo + f.len() + 1]);
-                    for (k, (f, x)) in f.iter_mut().zip(x).enumerate() {
-                        *f = bicubic::value(*x, v[k], v[k + 1], m[k], m[k + 1]);
+                spline.along(b, y, &mut line.values[WIDTH..], &mut line.bends[WIDTH..]);
+                let (v, m) = (&line.values, &line.bends);
+                if self.straight && from + (end - first) < v.len() {
+                    let n = end - first;
+                    let (v, w) = (&v[from..from + n], &v[from + 1..from + 1 + n]);
+                    let (m, n) = (&m[from..from + n], &m[from + 1..from + 1 + n]);
+                    for (k, (f, x)) in f[first..end].iter_mut().zip(&a.x[first..end]).enumerate() {
+                        *f = bicubic::value(*x, v[k], w[k], m[k], n[k]);
                     }
                 } else {
-                    for k in c0..c1 {
-                        let (a, x) = columns(k);
-                        f[k] = line.at(a, x);
+                    for k in first..end {
+                        let at = (a.cell[k] as usize).min(SIDE - 2) + WIDTH;
+                        f[k] = bicubic::value(a.x[k], v[at], v[at + 1], m[at], m[at + 1]);
                     }
                 }
             }
             Shape::Bicubic(spline) => {
-                for k in c0..c1 {
-                    let (a, x) = columns(k);
-                    f[k] = spline.height(a, x, b, y);
+                for k in self.cols[0]..self.cols[1] {
+                    f[k] = spline.height(a.cell[k] as usize, a.x[k], b, y);
                 }
             }
         }
