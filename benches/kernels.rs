@@ -11,13 +11,15 @@ use terraquilt::base::date::Date;
 use terraquilt::base::lattice::{Bounds, Point, Quad, covered};
 use terraquilt::db::query::{Query, Tolerance};
 use terraquilt::db::{Change, Db, Ingest, Options, Policy, Progress};
-use terraquilt::height::block::{BLOCK, RawBlock, decode, encode};
+use terraquilt::height::block::{BLOCK, Heights, RawBlock, decode, encode};
 use terraquilt::height::cells::{Block, Fill};
 use terraquilt::height::crs::Crs;
 use terraquilt::height::frame::{CellRect, Frame};
 use terraquilt::height::lod::cutter::standing;
-use terraquilt::height::lod::{Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World};
-use terraquilt::height::patch::Kind;
+use terraquilt::height::lod::{
+    Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World, places_touching_posts,
+};
+use terraquilt::height::patch::{Kind, Residuals};
 use terraquilt::height::source::SampleType;
 use terraquilt::height::surface::Blend;
 
@@ -27,8 +29,8 @@ fn hill(i: i64, j: i64) -> f64 {
     ((500.0 + (x / 31.0).sin() * 60.0 + ((x + 2.0 * y) / 17.0).cos() * 9.0) * 100.0).round() / 100.0
 }
 
-fn block_decode(c: &mut Criterion) {
-    let mut group = c.benchmark_group("block decode");
+fn blocks(c: &mut Criterion) {
+    let mut group = c.benchmark_group("block");
     let n = BLOCK as usize;
     for (name, sample_type) in [("f32", SampleType::F32), ("i16", SampleType::I16)] {
         let mut samples = Vec::new();
@@ -50,12 +52,56 @@ fn block_decode(c: &mut Criterion) {
             fills: Vec::new(),
         };
         let bytes = encode(&block);
-        // Bytes of samples that come out, not of what is read.
+        // Bytes of samples, not of what is read or written.
         group.throughput(Throughput::Bytes(block.samples.len() as u64));
-        group.bench_function(name, |b| {
+        group.bench_function(BenchmarkId::new("encode", name), |b| b.iter(|| encode(black_box(&block))));
+        group.bench_function(BenchmarkId::new("decode", name), |b| {
             b.iter(|| decode(black_box(&bytes), "bench").expect("it was just written"))
         });
+        // As a page of a mapped file is read: its checksum first, heights in metres at the end.
+        let crc = crc32c::crc32c(&bytes);
+        group.bench_function(BenchmarkId::new("check, decode, lay", name), |b| {
+            b.iter(|| {
+                assert_eq!(crc32c::crc32c(black_box(&bytes)), crc);
+                let mut heights = Heights::void();
+                heights.lay(&decode(&bytes, "bench").expect("it was just written"), 1.0, 0.0);
+                heights
+            })
+        });
     }
+    group.finish();
+}
+
+/// A block of posts against ten levels: posts of the whole pyramid a second, ten times that in posts looked at.
+fn errors(c: &mut Criterion) {
+    let (i0, j0) = (3 * BLOCK, 7 * BLOCK);
+    let posts: Vec<f64> = (0..BLOCK * BLOCK).map(|k| hill(i0 + k % BLOCK, j0 + k / BLOCK)).collect();
+    // Places, first row of vertices, vertices in a row, and the vertices.
+    let levels: Vec<(CellRect, i64, usize, Vec<f64>)> = (1..=10u8)
+        .map(|level| {
+            let places = places_touching_posts(level, i0, j0, i0 + BLOCK - 1, j0 + BLOCK - 1);
+            let (a, b) = (i0 >> level, j0 >> level);
+            let (across, up) = (((i0 + BLOCK - 1) >> level) + 2 - a, ((j0 + BLOCK - 1) >> level) + 2 - b);
+            let vertex = |k: i64| hill((a + k % across) << level, (b + k / across) << level);
+            (places, b, across as usize, (0..across * up).map(vertex).collect())
+        })
+        .collect();
+    let mut group = c.benchmark_group("errors");
+    group.throughput(Throughput::Elements((BLOCK * BLOCK) as u64));
+    group.bench_function("of ten levels", |bench| {
+        bench.iter(|| {
+            for (level, (places, first, across, vertices)) in (1..=10u8).zip(&levels) {
+                let mut gather = Residuals::new(level, *places, i0, BLOCK as usize);
+                for (j, row) in (j0..).zip(posts.chunks_exact(BLOCK as usize)) {
+                    let at = ((j >> level) - first) as usize * across;
+                    let (below, above) =
+                        (&vertices[at..at + across], &vertices[at + across..at + 2 * across]);
+                    gather.row(j, black_box(row), below, above);
+                }
+                black_box(gather.finish());
+            }
+        })
+    });
     group.finish();
 }
 
@@ -226,5 +272,5 @@ fn questions(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(kernels, block_decode, coverage, standings, questions);
+criterion_group!(kernels, blocks, errors, coverage, standings, questions);
 criterion_main!(kernels);

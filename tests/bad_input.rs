@@ -496,7 +496,7 @@ fn meddle(db: &str, sql: &str) {
 #[test]
 fn a_database_of_a_newer_program_is_refused_not_guessed_at() {
     for (sql, words) in [
-        ("UPDATE constant SET value = '3' WHERE name = 'format_version'", ["format 3", "newer terraquilt"]),
+        ("UPDATE constant SET value = '4' WHERE name = 'format_version'", ["format 4", "newer terraquilt"]),
         ("UPDATE constant SET value = '9' WHERE name = 'margin'", ["margin", "newer terraquilt"]),
         (
             "INSERT INTO refinery_schema_history VALUES (99, 'later', '2030-01-01T00:00:00Z', '1')",

@@ -25,7 +25,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// The oldest and the newest version of the whole format that this program opens. New databases are of the newest.
 pub const FORMAT_OLDEST: u32 = 1;
-pub const FORMAT_NEWEST: u32 = 2;
+pub const FORMAT_NEWEST: u32 = 3;
 
 /// How surveys rank where no explicit precedence is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

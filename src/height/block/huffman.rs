@@ -1,6 +1,6 @@
 //! Bytes in a prefix code of at most 11 bits: four streams side by side, several bytes a look into the table.
 //!
-//! Small differences have short codes, so that 11 bits hold many of them: the table gives up to seven bytes for every
+//! Small differences have short codes, so that 11 bits hold many of them: the table gives up to six bytes for every
 //! 11 bits that can come. Four streams are read in turns, since each waits for its last look. Bytes are drawn in
 //! `docs/format.md`.
 
@@ -10,18 +10,18 @@ use multiversion::multiversion;
 /// Longest code.
 pub const BITS: usize = 11;
 const STREAMS: usize = 4;
-/// Looks into the table for which one load of 64 bits is enough, and the most bytes that they write to.
+/// Looks into the table for which one load of 64 bits is enough, and the bytes in which they write.
 const LOOKS: usize = 5;
-const REACH: usize = (LOOKS - 1) * SYMBOLS + 8;
+const REACH: usize = 40;
 
-// An entry of the table: seven bytes that come, first lowest; then how many of them count (3 bits) and bits taken (5).
-const SYMBOLS: usize = 7;
-const LOW: u64 = (1 << 56) - 1;
-fn entry_count(e: u64) -> usize {
-    (e >> 56) as usize & 7
+// An entry of the table: bits taken (lowest byte), how many bytes come (second), and up to six bytes, the first lowest.
+// Added up, entries tell bits and bytes of several looks.
+const SYMBOLS: u64 = 6;
+fn entry_bits(e: u64) -> usize {
+    e as usize & 255
 }
-fn entry_bits(e: u64) -> u32 {
-    (e >> 59) as u32
+fn entry_count(e: u64) -> usize {
+    (e >> 8) as usize & 255
 }
 
 /// Lengths of the codes of all bytes; 0: the byte does not come.
@@ -176,7 +176,8 @@ impl Table {
                 (1..=r).filter(|len| present[*len]).for_each(|len| needed[r - len] = true);
             }
         }
-        let mut entries: Box<[u64; 2 << BITS]> = Box::new([0; 2 << BITS]);
+        let entries = vec![0; 2 << BITS].into_boxed_slice();
+        let mut entries: Box<[u64; 2 << BITS]> = entries.try_into().expect("that many were asked for");
         for r in (1..=BITS).filter(|r| needed[*r]) {
             let (shorter, here) = entries.split_at_mut(1 << r);
             let mut at = 0;
@@ -186,11 +187,11 @@ impl Table {
                     break;
                 }
                 let size = 1usize << (r - len);
-                let one = u64::from(*s) | ((len as u64) << 3 | 1) << 56;
+                let one = u64::from(*s) << 16 | 1 << 8 | len as u64;
                 for (e, rest) in here[at..at + size].iter_mut().zip(&shorter[size..2 * size]) {
-                    // What the rest of the bits mean follows, unless that are seven already.
-                    let both = one + ((rest & LOW) << 8) + (rest & !LOW);
-                    *e = if entry_count(*rest) == SYMBOLS { one } else { both };
+                    // What the rest of the bits mean follows, unless those are six bytes already.
+                    let both = one + ((rest >> 16) << 24) + (rest & 0xffff);
+                    *e = if rest >> 8 & 255 == SYMBOLS { one } else { both };
                 }
                 at += size;
             }
@@ -239,14 +240,18 @@ impl Stream<'_> {
     #[inline(always)]
     fn step(&mut self, packed: &[u8], table: &Table) {
         let mut bits = load(packed, self.bit);
+        let Some(out) = self.out[self.at..].first_chunk_mut::<REACH>() else { return };
+        let mut sum = 0;
         for _ in 0..LOOKS {
             let e = table.entry(bits);
-            // Bytes past the count are written over by what comes next.
-            self.out[self.at..self.at + 8].copy_from_slice(&e.to_le_bytes());
-            self.at += entry_count(e);
-            self.bit += entry_bits(e) as usize;
-            bits <<= entry_bits(e);
+            let at = entry_count(sum) & 31;
+            // Six bytes and two zeros; those past the count are written over by what comes next.
+            out[at..at + 8].copy_from_slice(&(e >> 16).to_le_bytes());
+            sum = e.wrapping_add(sum);
+            bits <<= e & 63;
         }
+        self.at += entry_count(sum);
+        self.bit += entry_bits(sum);
     }
 
     #[inline(always)]
@@ -255,7 +260,7 @@ impl Stream<'_> {
             self.step(packed, table);
         }
         while self.at < self.out.len() {
-            let symbol = table.entry(load(packed, self.bit)) as u8;
+            let symbol = (table.entry(load(packed, self.bit)) >> 16) as u8;
             self.out[self.at] = symbol;
             self.at += 1;
             self.bit += usize::from(table.lengths.0[usize::from(symbol)]);
