@@ -1,7 +1,8 @@
 //! From samples to patches: what one survey is, rebuilt where its samples changed.
 //!
-//! Everything here is a function of (declaration, union of the samples). In order: core cells, levels (decimated,
-//! with fills), errors over every sample, content keys. Sections 8, 9, 12 and 13 of the LOD-space specification.
+//! Everything here is a function of (declaration, union of the samples). In order: level 0 (core cells, keys) with the blocks of
+//! level 1, further levels (decimated, with fills), errors over every sample, content keys. A post is decoded once for the
+//! first and once for the errors of all levels. Sections 8, 9, 12 and 13 of the LOD-space specification.
 
 use super::change::Progress;
 use super::errors::errors;

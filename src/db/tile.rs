@@ -264,3 +264,76 @@ pub fn write_tile(
         nodata: info.nodata,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn bits_are_those_of_each_post() {
+        for n in 0..40usize {
+            for step in [1usize, 2, 3, 50] {
+                let valid: Vec<u8> = (0..n).map(|k| u8::from(step == 50 || k % step != 0)).collect();
+                let mut found = vec![7];
+                put_bits(&mut found, &valid);
+                assert_eq!(found.len(), 1 + n.div_ceil(8));
+                let bit = |k: usize| found[1 + k / 8] >> (k % 8) & 1;
+                assert!(
+                    (0..found.len() * 8 - 8).all(|k| bit(k) == valid.get(k).copied().unwrap_or(0)),
+                    "{valid:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_curve_meets_each_index_once_and_goes_by_small_squares() {
+        let r = CellRect::new(-3, -5, 13, 3);
+        let way = along_curve(&r);
+        assert_eq!(way.iter().collect::<BTreeSet<_>>().len(), 16 * 8);
+        for four in way.chunks_exact(4) {
+            let (i, j) = four[0];
+            assert_eq!(four, [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)]);
+        }
+        assert!(along_curve(&CellRect::new(0, 0, 0, 9)).is_empty());
+    }
+
+    /// Blocks out of batches of any height, voids in some of them.
+    #[test]
+    fn blocks_are_packed_as_the_posts_lie() {
+        let posts = CellRect::new(-30, 50, 170, 300);
+        let sample = |i: i64, j: i64| (i * 31 + j * 7) as i16;
+        let is_valid = |i: i64, j: i64| !(90..130).contains(&j) || (i + j) % 5 != 0;
+        let mut held = VecDeque::new();
+        let mut row = 0;
+        for height in [1i64, 60, 64, 125] {
+            let all = || (row..row + height).flat_map(|j| (0..200).map(move |i| (i - 30, j + 50)));
+            let data = all().flat_map(|(i, j)| sample(i, j).to_le_bytes()).collect();
+            let valid: Vec<u8> = all().map(|(i, j)| u8::from(is_valid(i, j))).collect();
+            let valid = valid.contains(&0).then_some(valid);
+            held.push_back(Rows { first: row as u64, end: (row + height) as u64, data, valid });
+            row += height;
+        }
+        let blocks = blocks_of(&posts);
+        for (bi, bj) in along_curve(&blocks) {
+            let r = posts_of(bi, bj).intersect(&posts);
+            let packed = pack(&held, &posts, &r, SampleType::I16);
+            let raw = crate::height::block::decode(&packed.bytes, "t").unwrap();
+            let all = || (r.j0..r.j1).flat_map(|j| (r.i0..r.i1).map(move |i| (i, j)));
+            let kept: Vec<i16> = all().filter(|(i, j)| is_valid(*i, *j)).map(|(i, j)| sample(i, j)).collect();
+            let span = [f64::from(*kept.iter().min().unwrap()), f64::from(*kept.iter().max().unwrap())];
+            assert_eq!((packed.valid as usize, packed.span), (kept.len(), span));
+            let (col, row) = (r.i0.rem_euclid(BLOCK) as usize, r.j0.rem_euclid(BLOCK) as usize);
+            assert_eq!(
+                (raw.col, raw.row, raw.cols as i64, raw.rows as i64),
+                (col, row, r.width(), r.height())
+            );
+            assert!(
+                raw.samples.chunks_exact(2).zip(all()).all(|(s, (i, j))| s == sample(i, j).to_le_bytes())
+            );
+            let valid: Vec<u8> = all().map(|(i, j)| u8::from(is_valid(i, j))).collect();
+            assert_eq!(raw.valid, valid.contains(&0).then_some(valid));
+        }
+    }
+}

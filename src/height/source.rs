@@ -139,15 +139,24 @@ impl SampleType {
     pub fn span(self, bytes: &[u8], valid: &[u8]) -> (u64, [f64; 2]) {
         assert_eq!(bytes.len(), valid.len() * self.bytes(), "one byte of validity a sample");
         let count = valid.iter().map(|v| u64::from(*v != 0)).sum();
-        let mut span = [f64::INFINITY, f64::NEG_INFINITY];
+        // In lanes: the least and the greatest of numbers have no order.
+        const LANES: usize = 8;
+        let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
         each_type!(self, T => {
-            for (b, v) in bytes.chunks_exact(size_of::<T>()).zip(valid) {
-                let h = f64::from(T::from_le_bytes(b.try_into().expect("chunks of one sample")));
-                let (low, high) = if *v != 0 { (h, h) } else { (f64::INFINITY, f64::NEG_INFINITY) };
-                span[0] = if low < span[0] { low } else { span[0] };
-                span[1] = if high > span[1] { high } else { span[1] };
+            for (b, v) in bytes.chunks(LANES * size_of::<T>()).zip(valid.chunks(LANES)) {
+                let heights = b.chunks_exact(size_of::<T>());
+                for (k, (b, v)) in heights.zip(v).enumerate() {
+                    let h = f64::from(T::from_le_bytes(b.try_into().expect("chunks of one sample")));
+                    let (l, h) = if *v != 0 { (h, h) } else { (f64::INFINITY, f64::NEG_INFINITY) };
+                    low[k] = if l < low[k] { l } else { low[k] };
+                    high[k] = if h > high[k] { h } else { high[k] };
+                }
             }
         });
+        let span = [
+            low.into_iter().fold(f64::INFINITY, f64::min),
+            high.into_iter().fold(f64::NEG_INFINITY, f64::max),
+        ];
         (count, span)
     }
 }

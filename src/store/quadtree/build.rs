@@ -3,7 +3,7 @@
 use super::node::{ChildRef, Node, Record, child_cell, root_cell};
 use super::{CAPACITY, DEPTH_MAX};
 use crate::base::Result;
-use crate::base::lattice::{Bounds, Quad};
+use crate::base::lattice::{Bounds, Point, Quad};
 use crate::store::segment::{PageRef, Pages, SegmentWriter};
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -159,8 +159,11 @@ impl<'a> Editor<'a> {
         let cells: [Bounds; 4] = std::array::from_fn(|k| child_cell(cell, k));
         let mut down: [Vec<u32>; 4] = Default::default();
         for n in rest {
-            for (c, down) in cells.iter().zip(&mut down) {
-                if known.quads[n as usize].meets_cell(c) {
+            let quad = &known.quads[n as usize];
+            // Below the root each domain is known to meet the cell, so it meets the one child whose side of the middle it is on.
+            let only = if depth > 0 { quarter(&quad.bounds(), &cells[0].max) } else { None };
+            for (k, (c, down)) in cells.iter().zip(&mut down).enumerate() {
+                if only.map_or_else(|| quad.meets_cell(c), |o| o == k) {
                     down.push(n);
                 }
             }
@@ -223,6 +226,12 @@ impl<'a> Editor<'a> {
     pub fn write(self, out: &mut SegmentWriter) -> Result<(ChildRef, Vec<PageRef>)> {
         Ok((write(self.root, out)?, self.replaced))
     }
+}
+
+/// The child in which a box lies wholly, if there is one.
+fn quarter(b: &Bounds, middle: &Point) -> Option<usize> {
+    let side = |min, max, middle| if max <= middle { Some(0) } else { (min >= middle).then_some(1) };
+    Some(side(b.min.x, b.max.x, middle.x)? + 2 * side(b.min.y, b.max.y, middle.y)?)
 }
 
 fn write(open: Open, out: &mut SegmentWriter) -> Result<ChildRef> {
