@@ -58,12 +58,23 @@ fn main() -> Result<()> {
         println!("{}", serde_json::to_string_pretty(&value).expect("numbers and texts are JSON"));
         return Ok(());
     }
-    println!("rows   question  patches   nodes   find us       (a second)   read us  select us   rstar us  beyond  ratio");
+    println!(
+        "rows   question  patches   nodes   find us       (a second)   read us  select us   rstar us  beyond  ratio"
+    );
     for r in &rows {
         println!(
             "{:6} {:8} {:8} {:7} {:9.1} {:18.0} {:9.1} {:10.1} {:10.1} {:7} {:6.1}",
-            r.rows, r.question, r.patches, r.nodes, r.find_us, 1e6 / r.find_us, r.read_us, r.select_us, r.rstar_us,
-            r.rstar_patches - r.patches, r.ratio
+            r.rows,
+            r.question,
+            r.patches,
+            r.nodes,
+            r.find_us,
+            1e6 / r.find_us,
+            r.read_us,
+            r.select_us,
+            r.rstar_us,
+            r.rstar_patches - r.patches,
+            r.ratio
         );
     }
     println!(
@@ -88,7 +99,13 @@ struct Row {
     ratio: f64,
 }
 
-fn ask(now: &Snapshot, tree: &RTree<Boxed>, question: &'static str, rows: &'static str, tolerance: Tolerance) -> Result<Row> {
+fn ask(
+    now: &Snapshot,
+    tree: &RTree<Boxed>,
+    question: &'static str,
+    rows: &'static str,
+    tolerance: Tolerance,
+) -> Result<Row> {
     let query = Query { area: Area::Everything, tolerance, how: Blend::Exact.into() };
     let found = now.find(&query)?;
     let rival = Rival::new(now, &query, &found.region);
@@ -238,7 +255,8 @@ fn fly(now: &Snapshot, camera: &dyn Fn(f64) -> Result<Camera>) -> Result<Flight>
     let (mut held, mut spent, mut added) = (Vec::new(), [0.0; 3], 0);
     for frame in 0..FRAMES {
         let eye = camera(frame as f64 - FRAMES as f64 / 2.0)?;
-        let query = Query { area: Area::Everything, tolerance: Tolerance::Camera(eye), how: Blend::Exact.into() };
+        let query =
+            Query { area: Area::Everything, tolerance: Tolerance::Camera(eye), how: Blend::Exact.into() };
         let start = cpu();
         let to = now.select(&query)?.records;
         let selected = cpu();
@@ -259,7 +277,14 @@ fn fly(now: &Snapshot, camera: &dyn Fn(f64) -> Result<Camera>) -> Result<Flight>
     let frames = (FRAMES - 1) as f64;
     let [select_us, difference_us, payload_us] = spent.map(|s| s / frames * 1e6);
     let percent_of_a_core = spent.iter().sum::<f64>() / frames / FRAME_S * 100.0;
-    Ok(Flight { frames: FRAMES, added: added as f64 / frames, select_us, difference_us, payload_us, percent_of_a_core })
+    Ok(Flight {
+        frames: FRAMES,
+        added: added as f64 / frames,
+        select_us,
+        difference_us,
+        payload_us,
+        percent_of_a_core,
+    })
 }
 
 /// Processor time of the process, seconds.

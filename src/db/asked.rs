@@ -95,6 +95,13 @@ impl Asked<'_> {
         corners(&self.domains.domain(r), self.size)
     }
 
+    /// The part of a record's domain in the region; empty if they do not meet.
+    fn part(&mut self, spot: &Spot, k: usize) -> &[[f64; 2]] {
+        let domain = self.domain(&spot.shelf.records[k]);
+        let b = spot.shelf.boxes(spot.shelf.records.len());
+        self.clip.part_within(&domain, [b.x[k], b.y[k]], b.radius[k])
+    }
+
     /// Of the records in a mask those that were not taken before.
     fn new_ones(&mut self, spot: &Spot, mask: u64) -> u64 {
         let again = bits(mask & !spot.summary.alone).filter(|k| !self.met.insert(spot.shelf.records[*k].id));
@@ -135,7 +142,8 @@ fn least(rule: impl Fn(f32) -> bool) -> f32 {
     }
     // Floats in ascending order are whole numbers in ascending order.
     let float = |n: i32| f32::from_bits(if n < 0 { !n as u32 | 1 << 31 } else { n as u32 });
-    let number = |v: f32| if v.is_sign_negative() { !(v.to_bits() as i32 & i32::MAX) } else { v.to_bits() as i32 };
+    let number =
+        |v: f32| if v.is_sign_negative() { !(v.to_bits() as i32 & i32::MAX) } else { v.to_bits() as i32 };
     let (mut below, mut holds) = (i64::from(number(f32::NEG_INFINITY)) - 1, i64::from(number(f32::INFINITY)));
     while holds - below > 1 {
         let middle = below.midpoint(holds);
@@ -158,33 +166,32 @@ impl Question for Even<'_> {
         let met = match lies {
             Lies::Inside | Lies::Middle => true,
             Lies::Outside => false,
-            Lies::Unclear => !self.asked.clip.part(&corners(&cell.quad(), self.asked.size)).is_empty(),
+            Lies::Unclear => {
+                let quad = corners(&cell.quad(), self.asked.size);
+                !self.asked.clip.part_within(&quad, middle, radius).is_empty()
+            }
         };
         met.then_some(Range { inside: lies == Lies::Inside, ..self.range })
     }
 
     #[inline]
     fn visit(&mut self, spot: &Spot, number: Option<u32>, _: &Range) -> Result<bool> {
-        let (shelf, all) = (&*spot.shelf, spot.summary.all);
-        let on = spot.summary.top_least >= self.looked_at;
-        let looked_at = if on { all } else { first(shelf.of_top(self.looked_at)) };
-        let high = if spot.summary.top_least >= self.needed { all } else { first(shelf.of_top(self.needed)) };
-        let low = shelf.of_bot(self.most);
+        let looked_at = spot.of_top(self.looked_at);
+        let (high, low) = (spot.of_top(self.needed), spot.of_bot(self.most));
         self.asked.found.tested += u64::from(looked_at.count_ones());
         let mut taken = looked_at & high & (low | self.asked.floors(spot));
         if taken != 0 {
-            let (inside, met) = self.asked.sort(spot, shelf.records.len());
+            let (inside, met) = self.asked.sort(spot, spot.summary.all.count_ones() as usize);
             let mut across = taken & met & !inside;
             for k in bits(across) {
-                let domain = self.asked.domain(&shelf.records[k]);
-                if self.asked.clip.part(&domain).is_empty() {
+                if self.asked.part(spot, k).is_empty() {
                     across &= !(1 << k);
                 }
             }
             taken = taken & inside & spot.summary.own | self.asked.new_ones(spot, across);
         }
         self.asked.found.take(spot, number, taken);
-        Ok(on)
+        Ok(looked_at == spot.summary.all)
     }
 }
 
@@ -195,13 +202,17 @@ pub struct Uneven<'a> {
 
 impl Uneven<'_> {
     /// Whether a record is needed, by the corners of its domain; `inside`: all of that is in the region.
-    fn needs(&mut self, r: &Record, floor: bool, inside: bool) -> bool {
-        let domain = self.asked.domain(r);
-        let part = if inside { &domain } else { self.asked.clip.part(&domain) };
-        if part.is_empty() {
-            return false;
-        }
-        let (lo, hi) = self.asked.cut.bounds(part);
+    fn needs(&mut self, spot: &Spot, k: usize, floor: bool, inside: bool) -> bool {
+        let (r, cut) = (&spot.shelf.records[k], self.asked.cut);
+        let (lo, hi) = if inside {
+            cut.bounds(&self.asked.domain(r))
+        } else {
+            let part = self.asked.part(spot, k);
+            if part.is_empty() {
+                return false;
+            }
+            cut.bounds(part)
+        };
         lo < self.asked.kappa() * f64::from(r.top) && (f64::from(r.bot) <= hi || floor)
     }
 }
@@ -231,7 +242,8 @@ impl Question for Uneven<'_> {
                 return None;
             }
         }
-        let part = if lies == Lies::Inside { &quad } else { self.asked.clip.part(&quad) };
+        let part =
+            if lies == Lies::Inside { &quad } else { self.asked.clip.part_within(&quad, [x, y], radius) };
         if part.is_empty() {
             return None;
         }
@@ -251,7 +263,7 @@ impl Question for Uneven<'_> {
             let (inside, met) = self.asked.sort(spot, n);
             taken &= met;
             for k in bits(taken & !(inside & f.above_lo & (f.below_hi | floors))) {
-                if !self.needs(&shelf.records[k], floors >> k & 1 == 1, inside >> k & 1 == 1) {
+                if !self.needs(spot, k, floors >> k & 1 == 1, inside >> k & 1 == 1) {
                     taken &= !(1 << k);
                 }
             }

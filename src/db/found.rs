@@ -52,7 +52,8 @@ impl Found {
     /// How many patches.
     pub fn len(&self) -> usize {
         let of = |mask: &u64| mask.count_ones() as usize;
-        self.linked.iter().map(|(_, m)| of(m)).sum::<usize>() + self.apart.iter().map(|(_, m)| of(m)).sum::<usize>()
+        self.linked.iter().map(|(_, m)| of(m)).sum::<usize>()
+            + self.apart.iter().map(|(_, m)| of(m)).sum::<usize>()
     }
 
     pub fn is_empty(&self) -> bool {
@@ -77,7 +78,13 @@ impl Found {
         // Ids are hashes: their first eight bytes tell nearly all of them apart.
         order.sort_unstable_by(|(a, x), (b, y)| a.cmp(b).then_with(|| x.id.cmp(&y.id)));
         let records = order.into_iter().map(|(_, r)| *r).collect();
-        Selection { version: self.version, records, nodes: self.nodes, tested: self.tested, region: self.region }
+        Selection {
+            version: self.version,
+            records,
+            nodes: self.nodes,
+            tested: self.tested,
+            region: self.region,
+        }
     }
 }
 

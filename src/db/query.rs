@@ -1,8 +1,8 @@
 //! Questions: which patches a region needs within a tolerance, what changed since, how high it is.
 
 pub use super::area::Area;
-pub use super::found::Found;
 use super::database::Snapshot;
+pub use super::found::Found;
 use super::seams::Fields;
 pub use super::selection::{Difference, Selection, difference, set_hash};
 use super::triangles::metres_per_unit;

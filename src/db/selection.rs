@@ -157,7 +157,10 @@ impl Snapshot {
             cut,
             exact: blend == Blend::Exact,
             clip: Clip::new(&found.region),
-            met: Met::with_capacity_and_hasher(if cut.even().is_some() { 0 } else { MET }, Default::default()),
+            met: Met::with_capacity_and_hasher(
+                if cut.even().is_some() { 0 } else { MET },
+                Default::default(),
+            ),
             found,
         };
         let (nodes, asked) = match cut.even() {

@@ -103,11 +103,7 @@ impl Step {
     /// The whole number whose height is nearest, if it is small enough.
     pub fn nearest(&self, z: f64) -> Option<i64> {
         let s = if self.scaled() { (z - self.offset) / self.scale } else { z };
-        let q = if self.decimal {
-            s * power_of_ten(self.exponent)
-        } else {
-            s * power_of_two(-self.exponent)
-        };
+        let q = if self.decimal { s * power_of_ten(self.exponent) } else { s * power_of_two(-self.exponent) };
         (q.abs() <= WHOLE_MAX as f64 - 1.0).then(|| rounded_whole(q))
     }
 

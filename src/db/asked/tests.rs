@@ -120,7 +120,10 @@ impl HeightSource for Hills {
         for k in 0..w.cols * w.rows {
             let (i, j) = (w.col as f64 + (k % w.cols) as f64, w.row as f64 + (k / w.cols) as f64);
             let mut noise = self.seed ^ (i as u64) << 20 ^ (j as u64 + 1) << 40;
-            let z = 200.0 + 80.0 * (i / 61.0).sin() * (j / 47.0).cos() + 6.0 * (i / 7.0).sin() + random(&mut noise);
+            let z = 200.0
+                + 80.0 * (i / 61.0).sin() * (j / 47.0).cos()
+                + 6.0 * (i / 7.0).sin()
+                + random(&mut noise);
             s.data.extend_from_slice(&(z as f32).to_le_bytes());
             s.valid.push(1);
         }
@@ -132,7 +135,8 @@ impl HeightSource for Hills {
 }
 
 fn survey(s: &mut u64, name: &str, side: u64) -> Ingest {
-    let (turn, step) = (if random(s) < 0.4 { 0.0 } else { 6.3 * random(s) }, [1.0, 2.0, 5.0][(3.0 * random(s)) as usize]);
+    let (turn, step) =
+        (if random(s) < 0.4 { 0.0 } else { 6.3 * random(s) }, [1.0, 2.0, 5.0][(3.0 * random(s)) as usize]);
     let (c, n) = (turn.cos() * step, turn.sin() * step);
     let at = |v: f64, s: &mut u64| v + 600.0 * (random(s) - 0.5);
     let origin = [at(500_000.0, s), at(4_000_000.0, s)];
@@ -200,7 +204,9 @@ fn tolerance(s: &mut u64, s0: &Snapshot) -> Tolerance {
             let look = [look[0], look[1], 400.0 * random(s)];
             let far = 300.0 + 4000.0 * random(s);
             let pixels = 0.3 + 5.0 * random(s);
-            Tolerance::Camera(Camera::new(eye, look, 20.0 + 60.0 * random(s), [800, 600], pixels, Some(far)).unwrap())
+            Tolerance::Camera(
+                Camera::new(eye, look, 20.0 + 60.0 * random(s), [800, 600], pixels, Some(far)).unwrap(),
+            )
         }
     }
 }
@@ -247,7 +253,12 @@ fn answers_are_those_of_the_plain_definition() {
             let now = db.snapshot(None).unwrap();
             // Edges: tolerances that are exactly a bot, or the least float that a top times kappa exceeds.
             let mut edges = Vec::new();
-            let (all, ..) = plain(&now, &now.region(&whole(0.0)).unwrap(), &*now.cut(&Tolerance::Constant(0.0)), Blend::Exact);
+            let (all, ..) = plain(
+                &now,
+                &now.region(&whole(0.0)).unwrap(),
+                &*now.cut(&Tolerance::Constant(0.0)),
+                Blend::Exact,
+            );
             for r in all.iter().step_by(all.len() / 8 + 1) {
                 let t = f64::from(r.top) * KAPPA;
                 edges.extend([f64::from(r.bot), f64::from(r.top), t, t.next_up(), t.next_down(), t / KAPPA]);
@@ -267,7 +278,8 @@ fn answers_are_those_of_the_plain_definition() {
                 assert_eq!(found.selection().records, records, "seed {seed}, step {step}, {query:?}");
                 // The same where nodes find no room, and where some do.
                 for most in [0, 7] {
-                    let few = now.find_through(Arc::new(Explored::of(most)), region.clone(), &*cut, how).unwrap();
+                    let few =
+                        now.find_through(Arc::new(Explored::of(most)), region.clone(), &*cut, how).unwrap();
                     assert!(few.records().count() == few.len());
                     apart += few.len();
                     assert_eq!(few.selection().records, records);
@@ -293,14 +305,18 @@ fn whole(c: f64) -> Query {
 #[test]
 fn least_finds_the_first_float_of_a_rule() {
     let s = &mut 99;
-    let mut thresholds = vec![0.0, -0.0, 1.0, f64::MIN_POSITIVE, 1e-46, -1e-46, 1e39, -1e39, f64::MAX, f64::NEG_INFINITY];
+    let mut thresholds =
+        vec![0.0, -0.0, 1.0, f64::MIN_POSITIVE, 1e-46, -1e-46, 1e39, -1e39, f64::MAX, f64::NEG_INFINITY];
     thresholds.extend((0..2000).map(|_| (random(s) - 0.5) * 10f64.powf(80.0 * random(s) - 40.0)));
     for t in thresholds {
         for rule in [(|v, t| v > t) as fn(f64, f64) -> bool, |v, t| v >= t, |v, t| t < KAPPA * v] {
             let found = least(|v| rule(f64::from(v), t));
             assert!(rule(f64::from(found), t), "{t}");
             let before = found.next_down();
-            assert!(found == f32::NEG_INFINITY || before == found || !rule(f64::from(before), t), "{t} {found}");
+            assert!(
+                found == f32::NEG_INFINITY || before == found || !rule(f64::from(before), t),
+                "{t} {found}"
+            );
         }
     }
     assert!(least(|_| false).is_nan() && least(|_| true) == f32::NEG_INFINITY);

@@ -4,7 +4,7 @@
 //! decides about a node lies in one array, in the order in which nodes were first reached: a walk over all of them reads memory
 //! forwards. Nodes are shared with other versions (they are immutable); links are of this version.
 
-use super::shelf::{Shelf, Summary};
+use super::shelf::{Shelf, Summary, first};
 use crate::base::Result;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -29,6 +29,25 @@ pub struct Spot {
 impl Spot {
     fn new(shelf: Arc<Shelf>) -> Spot {
         Spot { summary: shelf.summary, shelf, links: Default::default() }
+    }
+
+    /// Records with at least this top. The shelf is touched only where its records differ.
+    #[inline]
+    pub fn of_top(&self, least: f32) -> u64 {
+        if self.summary.top_least >= least { self.summary.all } else { first(self.shelf.of_top(least)) }
+    }
+
+    /// Records with at most this bot.
+    #[inline]
+    pub fn of_bot(&self, most: f32) -> u64 {
+        let s = &self.summary;
+        if s.bot_least > most {
+            0
+        } else if s.bot_most <= most {
+            s.all
+        } else {
+            self.shelf.of_bot(most)
+        }
     }
 }
 

@@ -30,6 +30,8 @@ pub struct Summary {
     /// A disc around all domains: x, y, radius, CRS units.
     pub reach: [f64; 3],
     pub children: [Option<Below>; 4],
+    /// The node has more records than these.
+    pub rest: bool,
 }
 
 /// What a parent knows of the subtree of a child.
@@ -39,6 +41,9 @@ pub struct Below {
     pub bot_min: f32,
     pub floor: bool,
 }
+
+/// Columns have room for whole lots of so many: what is computed of a lot is one vector instruction.
+const LOT: usize = 8;
 
 /// Up to [`SHELF`] records of a node. A node holds more at the greatest depth only: then `rest` continues it, and the children
 /// are those of the last part.
@@ -73,10 +78,10 @@ impl Shelf {
         domains: &dyn Domains,
         size: f64,
     ) -> Shelf {
-        let n = records.len();
+        let (count, n) = (records.len(), records.len().next_multiple_of(LOT));
         let below = |c: ChildRef| Below { top_max: c.top_max, bot_min: c.bot_min, floor: c.floor };
         let mut s = Summary {
-            all: if n == SHELF { u64::MAX } else { (1 << n) - 1 },
+            all: first(count),
             floors: 0,
             own: 0,
             alone: 0,
@@ -85,6 +90,7 @@ impl Shelf {
             bot_most: f32::NEG_INFINITY,
             reach: [0.0; 3],
             children: children.map(|c| c.map(below)),
+            rest: rest.is_some(),
         };
         let (mut singles, mut discs) = (vec![0.0; 6 * n], vec![0.0; 3 * n]);
         for (k, r) in records.iter().enumerate() {
@@ -108,7 +114,7 @@ impl Shelf {
             let single = [r.top, r.bot, ax as f32, ay as f32, bx as f32, by as f32];
             single.into_iter().enumerate().for_each(|(column, v)| singles[column * n + k] = v);
         }
-        s.reach = enclosing(&discs);
+        s.reach = enclosing(&discs[..count], &discs[n..n + count], &discs[2 * n..2 * n + count]);
         Shelf {
             summary: s,
             records: records.into(),
@@ -129,13 +135,13 @@ impl Shelf {
 
     /// The first `n` of a column.
     fn single(&self, column: usize, n: usize) -> &[f32] {
-        let from = column * self.records.len();
+        let from = column * self.records.len().next_multiple_of(LOT);
         &self.singles[from..from + n]
     }
 
-    /// The boxes of the first `n` records.
+    /// The boxes of the first `n` records, and others up to a whole lot.
     pub fn boxes(&self, n: usize) -> Boxes<'_> {
-        let all = self.records.len();
+        let (n, all) = (n.next_multiple_of(LOT), self.records.len().next_multiple_of(LOT));
         let column = |k: usize| &self.discs[k * all..k * all + n];
         Boxes {
             x: column(0),
@@ -149,17 +155,11 @@ impl Shelf {
 
     /// How many records have at least this top; they come first.
     pub fn of_top(&self, least: f32) -> usize {
-        if self.summary.top_least >= least { self.records.len() } else { self.tops().partition_point(|t| *t >= least) }
+        self.tops().partition_point(|t| *t >= least)
     }
 
     /// Records with at most this bot.
     pub fn of_bot(&self, most: f32) -> u64 {
-        if self.summary.bot_least > most {
-            return 0;
-        }
-        if self.summary.bot_most <= most {
-            return self.summary.all;
-        }
         let mut truths = [0; SHELF];
         for (truth, bot) in truths.iter_mut().zip(self.bots()) {
             *truth = u8::from(*bot <= most);
@@ -202,10 +202,9 @@ fn around(quad: &Quad, middle: Point, size: f64) -> [f64; 3] {
     [m[0], m[1], quad.0.iter().map(away).fold(0.0, f64::max)]
 }
 
-/// A disc around discs (columns of x, y, radius).
-fn enclosing(discs: &[f64]) -> [f64; 3] {
-    let n = discs.len() / 3;
-    if n == 0 {
+/// A disc around discs.
+fn enclosing(xs: &[f64], ys: &[f64], radii: &[f64]) -> [f64; 3] {
+    if xs.is_empty() {
         return [0.0; 3];
     }
     let middle = |column: &[f64]| {
@@ -213,7 +212,7 @@ fn enclosing(discs: &[f64]) -> [f64; 3] {
             column.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
         a.midpoint(b)
     };
-    let (x, y) = (middle(&discs[..n]), middle(&discs[n..2 * n]));
-    let away = |k: usize| (discs[k] - x).hypot(discs[n + k] - y) + discs[2 * n + k];
-    [x, y, (0..n).map(away).fold(0.0, f64::max)]
+    let (x, y) = (middle(xs), middle(ys));
+    let away = |k: usize| (xs[k] - x).hypot(ys[k] - y) + radii[k];
+    [x, y, (0..xs.len()).map(away).fold(0.0, f64::max)]
 }

@@ -1,9 +1,9 @@
 //! Walking the tree: shelves whose boxes may meet a cut.
 
+use super::DEPTH_MAX;
 use super::explored::{Explored, REST, Reached, Spot};
 use super::node::{child_cell, root_cell};
 use super::shelf::{Below, Shelf};
-use super::DEPTH_MAX;
 use crate::base::lattice::Bounds;
 use crate::base::{Error, Result};
 use crate::store::segment::PageRef;
@@ -88,7 +88,9 @@ impl<Q: Question> Walk<'_, Q> {
         if !self.question.visit(spot, number, range)? {
             return Ok(());
         }
-        if let Some(rest) = &spot.shelf.rest {
+        if spot.summary.rest
+            && let Some(rest) = &spot.shelf.rest
+        {
             return match self.tree.below(spot, REST, || Ok(rest.clone()))? {
                 Reached::Linked(number, spot) => self.shelf(spot, Some(number), cell, depth, range),
                 Reached::Apart(spot) => self.shelf(&spot, None, cell, depth, range),
@@ -115,9 +117,9 @@ impl<Q: Question> Walk<'_, Q> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Domains;
     use super::super::node::{ChildRef, Node, Record};
     use super::super::shelf::{SHELF, bits};
-    use super::super::Domains;
     use super::*;
     use crate::base::lattice::{Point, Quad};
     use crate::height::lod::{PatchId, Place, SurveyNumber};
@@ -147,7 +149,7 @@ mod tests {
     }
 
     fn page(k: u32) -> PageRef {
-        PageRef { file: 1, length: 0, offset: u64::from(k), crc: 0 }
+        PageRef { file: 1, len: 0, offset: u64::from(k), crc: 0 }
     }
 
     /// A node of 150 records, as there may be at the greatest depth, with a child, and one of 10.
@@ -161,7 +163,8 @@ mod tests {
             let mut node = Node::default();
             if at.offset == 0 {
                 node.records = (0..150).map(record).collect();
-                node.children[3] = Some(ChildRef { page: page(1), top_max: 850.0, bot_min: 1.5, floor: true });
+                node.children[3] =
+                    Some(ChildRef { page: page(1), top_max: 850.0, bot_min: 1.5, floor: true });
             } else {
                 node.records = (150..160).map(record).collect();
             }
@@ -178,15 +181,18 @@ mod tests {
             below.is_none_or(|b| range.meets(b)).then_some(range)
         }
         fn visit(&mut self, spot: &Spot, _: Option<u32>, range: &Range) -> Result<bool> {
-            let n = spot.shelf.of_top((range.lo as f32).next_up());
+            let n = spot.of_top((range.lo as f32).next_up()).count_ones() as usize;
             self.1.extend(&spot.shelf.records[..n]);
             self.2 += u64::from(spot.summary.own.count_ones());
-            assert!(spot.shelf.records.len() <= SHELF && spot.summary.all.count_ones() as usize == spot.shelf.records.len());
+            assert!(
+                spot.shelf.records.len() <= SHELF
+                    && spot.summary.all.count_ones() as usize == spot.shelf.records.len()
+            );
             let floors: Vec<usize> = bits(spot.summary.floors).collect();
             assert!(floors.iter().all(|k| spot.shelf.records[*k].floor));
             assert_eq!(floors.len(), spot.shelf.records.iter().filter(|r| r.floor).count());
             for most in [-1.0, 0.3, 1.7, 9.0] {
-                let low: Vec<usize> = bits(spot.shelf.of_bot(most)).collect();
+                let low: Vec<usize> = bits(spot.of_bot(most)).collect();
                 let wanted = (0..spot.shelf.records.len()).filter(|k| spot.shelf.records[*k].bot <= most);
                 assert_eq!(low, wanted.collect::<Vec<_>>());
             }
@@ -198,7 +204,9 @@ mod tests {
     fn nodes_of_many_records_are_read_in_parts_and_nodes_are_read_once() {
         for most in [0, 1, 3, 100] {
             let (tree, two) = (Explored::of(most), Two(AtomicUsize::new(0)));
-            for (top, wanted) in [(0.0, 160), (845.0, 155), (850.0, 150), (899.5, 101), (936.0, 64), (2000.0, 0)] {
+            for (top, wanted) in
+                [(0.0, 160), (845.0, 155), (850.0, 150), (899.5, 101), (936.0, 64), (2000.0, 0)]
+            {
                 let mut question = Above(top, Vec::new(), 0);
                 let nodes = walk(&tree, &two, &page(0), &mut question).unwrap();
                 assert_eq!(question.1, (0..wanted).map(record).collect::<Vec<_>>(), "above {top}");

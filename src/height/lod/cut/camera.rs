@@ -5,8 +5,8 @@
 //! conservative; this one is, at any pitch and roll.
 
 use super::{Boxes, Cut, Foreseen, Region, pack};
-use multiversion::multiversion;
 use crate::base::{Error, Result};
+use multiversion::multiversion;
 
 /// A pinhole camera over terrain. Lengths in metres, CRS axes x east, y north.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -181,6 +181,8 @@ struct Tolerance(f64, f64);
 fn foresee(c: &Camera, boxes: &Boxes, kappa: f64, out: &mut [[u8; 64]; 4]) {
     let (s, cosine, depth_of_height) = (c.pitch_sin.abs(), c.pitch_cos, c.h * c.pitch_sin);
     let eye = 1.0 + c.eye[0].abs() + c.eye[1].abs() + c.h.abs();
+    // Seen by a level camera, domains have no extent across, and bounds take such for ones that hold the eye.
+    let level = s < 1e-100;
     let flat = |dx: f64, dy: f64| {
         [dx * c.forward[0] + dy * c.forward[1], s * (dx * c.forward[1] - dy * c.forward[0])]
     };
@@ -206,7 +208,7 @@ fn foresee(c: &Camera, boxes: &Boxes, kappa: f64, out: &mut [[u8; 64]; 4]) {
         let far = (mm + (aa + ma).max(bb + mb)).sqrt();
         let near = (mm + (aa - ma).min(bb - mb)).max(0.0).sqrt();
         let beside = [0, 1].map(|k| (m[k].abs() - half[k] - hair).max(0.0));
-        let nearer = (beside[0] * beside[0] + beside[1] * beside[1]).sqrt();
+        let nearer = if level { 0.0 } else { (beside[0] * beside[0] + beside[1] * beside[1]).sqrt() };
         let slack = hair + 1e-7 * far;
         let lo_least = tolerance(w - dw - hair, far + slack);
         let lo_most = tolerance(w - dw + hair, far - slack);
@@ -293,10 +295,11 @@ impl Cut for Camera {
 
 /// Distance of the origin from a convex polygon (0 inside; infinite from none).
 #[inline(always)]
-pub(super) fn distance_to_origin(polygon: impl Iterator<Item = [f64; 2]> + Clone) -> f64 {
+pub(super) fn distance_to_origin(polygon: impl DoubleEndedIterator<Item = [f64; 2]> + Clone) -> f64 {
     let (mut left, mut right, mut corners) = (false, false, 0);
     let mut least = f64::INFINITY;
-    for (a, b) in polygon.clone().zip(polygon.clone().skip(1).chain(polygon.take(1))) {
+    let Some(mut a) = polygon.clone().next_back() else { return f64::INFINITY };
+    for b in polygon {
         let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
         let turn = ex * -a[1] - ey * -a[0];
         left |= turn > 0.0;
@@ -306,6 +309,7 @@ pub(super) fn distance_to_origin(polygon: impl Iterator<Item = [f64; 2]> + Clone
         let t = if l2 > 0.0 { (-(a[0] * ex + a[1] * ey) / l2).clamp(0.0, 1.0) } else { 0.0 };
         let (x, y) = (a[0] + t * ex, a[1] + t * ey);
         least = least.min(x * x + y * y);
+        a = b;
     }
     if corners >= 3 && !(left && right) { 0.0 } else { least.sqrt() }
 }
@@ -434,20 +438,23 @@ mod tests {
             let look = [look[0], look[1], if level { 50.0 } else { -100.0 * random(s) - 51.0 }];
             let pixels = 0.2 + 4.0 * random(s);
             let c = Camera::new(eye, look, 45.0, [800, 600], pixels, Some(far)).unwrap().over(0.0, 90.0);
-            let (mut columns, mut arms, mut heights, mut domains) = ([[0.0; 64]; 3], [[0f32; 64]; 4], [[0f32; 64]; 2], Vec::new());
+            let (mut columns, mut arms, mut heights, mut domains) =
+                ([[0.0; 64]; 3], [[0f32; 64]; 4], [[0f32; 64]; 2], Vec::new());
             for k in 0..64 {
                 let m = near(s, far);
                 let size = far * 10f64.powf(-4.0 * random(s));
                 let (turn, lean) = (6.3 * random(s), 1.57 + random(s) - 0.5);
                 let a = [size * turn.cos(), size * turn.sin()];
                 let b = [size * (turn + lean).cos(), size * (turn + lean).sin()];
-                let domain = [(a, 1.0), (b, 1.0), (a, -1.0), (b, -1.0)].map(|(v, by)| [m[0] + by * v[0], m[1] + by * v[1]]);
+                let domain = [(a, 1.0), (b, 1.0), (a, -1.0), (b, -1.0)]
+                    .map(|(v, by)| [m[0] + by * v[0], m[1] + by * v[1]]);
                 (columns[0][k], columns[1][k], columns[2][k]) = (m[0], m[1], size * (1.0 + 1e-12));
                 for (arm, v) in arms.iter_mut().zip([a[0], a[1], b[0], b[1]]) {
                     arm[k] = v as f32;
                 }
                 let (lo, hi) = c.bounds(&domain);
-                let by = |s: &mut u64| 10f64.powf((random(s) - 0.5) * if random(s) < 0.3 { 1e-6 } else { 2.0 });
+                let by =
+                    |s: &mut u64| 10f64.powf((random(s) - 0.5) * if random(s) < 0.3 { 1e-6 } else { 2.0 });
                 heights[0][k] = if random(s) < 0.05 { f32::INFINITY } else { (lo * by(s)) as f32 };
                 heights[1][k] = if random(s) < 0.05 { 0.0 } else { (hi * by(s)) as f32 };
                 domains.push(domain);

@@ -1,6 +1,7 @@
 //! Convex regions of the plane, in CRS units.
 
 use super::pack;
+use multiversion::multiversion;
 
 /// A convex region: a polygon, counter-clockwise, possibly empty.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,7 +78,7 @@ struct Line {
 
 impl Line {
     /// How far to the left a point is.
-    #[inline]
+    #[inline(always)]
     fn depth(&self, p: [f64; 2]) -> f64 {
         self.normal[0] * (p[0] - self.from[0]) + self.normal[1] * (p[1] - self.from[1])
     }
@@ -143,7 +144,7 @@ impl Clip {
         if self.lines.is_empty() { u64::MAX } else { borders.fold(0, |a, b| a | b) }
     }
 
-    #[inline]
+    #[inline(always)]
     fn hair(&self, at: [f64; 2]) -> f64 {
         1e-9 * (1.0 + self.reach + at[0].abs() + at[1].abs())
     }
@@ -151,35 +152,31 @@ impl Clip {
     /// Of 64 discs at most, within one that has these [`Clip::borders`]: which lie inside, and which may meet the region, as
     /// [`Clip::lies`] tells of each.
     pub fn sort(&self, x: &[f64], y: &[f64], radius: &[f64], borders: u64) -> (u64, u64) {
-        let n = x.len().min(64);
-        let (x, y, radius) = (&x[..n], &y[..n], &radius[..n]);
-        let mut depth = [f64::INFINITY; 64];
-        for (k, l) in self.lines.iter().enumerate() {
-            if borders >> k.min(63) & 1 == 1 {
-                for k in 0..n {
-                    depth[k] = depth[k].min(l.depth([x[k], y[k]]));
-                }
-            }
-        }
         let (mut inside, mut met) = ([0; 64], [0; 64]);
-        for k in 0..n {
-            let hair = self.hair([x[k], y[k]]);
-            inside[k] = u8::from(depth[k] > radius[k] + hair);
-            met[k] = u8::from(depth[k] >= -(radius[k] + hair));
-        }
+        sort(self, (x, y, radius), borders, &mut inside, &mut met);
         if self.lines.is_empty() { (0, 0) } else { (pack(&inside), pack(&met)) }
+    }
+
+    /// As [`Clip::part`], of a polygon within a disc: borders that the disc is clear of cut nothing off and are passed over.
+    pub fn part_within(&mut self, polygon: &[[f64; 2]], center: [f64; 2], radius: f64) -> &[[f64; 2]] {
+        let borders = self.borders(center, radius);
+        self.cut(polygon, borders)
     }
 
     /// The part of a convex polygon inside the region (Sutherland-Hodgman); empty if they do not meet. The slack of the
     /// borders may make it a hair larger than the truth, never smaller.
     pub fn part(&mut self, polygon: &[[f64; 2]]) -> &[[f64; 2]] {
+        self.cut(polygon, u64::MAX)
+    }
+
+    fn cut(&mut self, polygon: &[[f64; 2]], borders: u64) -> &[[f64; 2]] {
         let Clip { lines, part, next, sides, .. } = self;
         part.clear();
         if lines.is_empty() {
             return part;
         }
         part.extend_from_slice(polygon);
-        for line in lines {
+        for (_, line) in lines.iter().enumerate().filter(|(k, _)| borders >> k.min(&63) & 1 == 1) {
             let mut inside = true;
             sides.resize(part.len(), 0.0);
             for (side, p) in sides.iter_mut().zip(part.iter()) {
@@ -207,6 +204,33 @@ impl Clip {
             }
         }
         part
+    }
+}
+
+/// [`Clip::sort`] in columns of 0 and 1.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
+fn sort(
+    clip: &Clip,
+    (x, y, radius): (&[f64], &[f64], &[f64]),
+    borders: u64,
+    inside: &mut [u8; 64],
+    met: &mut [u8; 64],
+) {
+    let n = x.len().min(64);
+    let (x, y, radius) = (&x[..n], &y[..n], &radius[..n]);
+    let mut depth = [f64::INFINITY; 64];
+    let depth = &mut depth[..n];
+    for (k, l) in clip.lines.iter().enumerate() {
+        if borders >> k.min(63) & 1 == 1 {
+            for k in 0..n {
+                depth[k] = depth[k].min(l.depth([x[k], y[k]]));
+            }
+        }
+    }
+    for k in 0..n {
+        let hair = clip.hair([x[k], y[k]]);
+        inside[k] = u8::from(depth[k] > radius[k] + hair);
+        met[k] = u8::from(depth[k] >= -(radius[k] + hair));
     }
 }
 
@@ -241,7 +265,12 @@ mod tests {
             let reach = [1.0, 300.0, 20_000.0][n % 3];
             let near = |s: &mut u64| [0, 1].map(|k| middle[k] + reach * (2.0 * random(s) - 1.0));
             let region = match n % 4 {
-                0 => Region::from_box([middle[0] - reach, middle[1] - reach / 2.0, middle[0], middle[1] + reach]),
+                0 => Region::from_box([
+                    middle[0] - reach,
+                    middle[1] - reach / 2.0,
+                    middle[0],
+                    middle[1] + reach,
+                ]),
                 _ => Region::hull((0..3 + n % 5).map(|_| near(s)).collect()),
             };
             let mut clip = Clip::new(&region);
@@ -256,7 +285,9 @@ mod tests {
             let within = radius * (1.0 + random(s));
             let sorted = clip.sort(&[center[0]], &[center[1]], &[radius], clip.borders(center, within));
             assert_eq!(sorted, (u64::from(lies == Lies::Inside), u64::from(lies != Lies::Outside)));
+            let within = clip.part_within(&quad, center, radius).to_vec();
             let part = clip.part(&quad);
+            assert_eq!(within, part);
             match lies {
                 Lies::Inside => assert_eq!(part, quad),
                 Lies::Middle => assert!(!part.is_empty()),
