@@ -159,7 +159,8 @@ impl Band<'_> {
     /// Writes what was found at a point.
     pub(super) fn set(&mut self, k: usize, found: Option<&Evaluation>) {
         let Some(e) = found else {
-            (self.z[k], self.error_m[k], self.accuracy_m[k], self.marks[k]) = (f64::NAN, f64::NAN, f32::NAN, 0);
+            (self.z[k], self.error_m[k], self.accuracy_m[k], self.marks[k]) =
+                (f64::NAN, f64::NAN, f32::NAN, 0);
             return;
         };
         self.z[k] = e.z;
