@@ -235,8 +235,11 @@ fn questions(c: &mut Criterion) {
     group.bench_function("grid", |b| {
         b.iter(|| ground.grid_into(black_box(&xs), black_box(&ys), &mut planes).expect("heights"))
     });
-    let points: Vec<[f64; 2]> =
-        ys.iter().flat_map(|y| xs.iter().map(|x| [*x + (y * 0.7) % 40.0, *y + (x * 0.3) % 20.0])).collect();
+    let near = |k: usize| {
+        let (x, y) = (xs[k % xs.len()], ys[k / xs.len()]);
+        [x + (y * 0.7) % 40.0, y + (x * 0.3) % 20.0]
+    };
+    let points: Vec<[f64; 2]> = (0..xs.len() * ys.len()).map(near).collect();
     group.bench_function("points", |b| b.iter(|| ground.planes(black_box(&points)).expect("heights").len()));
     group.bench_function("points one by one", |b| {
         b.iter(|| ground.sheet().heights(black_box(&points[..4096])).expect("heights").len())

@@ -107,6 +107,9 @@ impl Ground<'_> {
 /// What is asked of a surface at points.
 type Ask<'a, E> = &'a dyn Fn(&Ground, &[[f64; 2]]) -> Result<Vec<Option<E>>>;
 
+/// What is done with the points of a window: their numbers, and their box.
+type Leaf<'a> = &'a mut dyn FnMut(&[usize], [f64; 4]) -> Result<()>;
+
 /// Side of a window whose surface is taken in one piece, in steps of the finest survey: the more is asked, the larger, so
 /// that patches are not selected again and again; few points far apart do not select all that lies between.
 fn window_steps(points: usize) -> f64 {
@@ -274,13 +277,7 @@ impl Snapshot {
     }
 
     /// Hands over the points window by window, each with its box, where there are surveys.
-    fn windows(
-        &self,
-        points: &[[f64; 2]],
-        order: &mut [usize],
-        side_max: f64,
-        leaf: &mut dyn FnMut(&[usize], [f64; 4]) -> Result<()>,
-    ) -> Result<()> {
+    fn windows(&self, points: &[[f64; 2]], order: &mut [usize], side_max: f64, leaf: Leaf) -> Result<()> {
         let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for p in order.iter().map(|k| points[*k]) {
             b = [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])];

@@ -436,9 +436,7 @@ impl Sheet<'_> {
             band.z[to] = s.f[k];
             band.error_m[to] = errors[k];
             band.accuracy_m[to] = accuracy[k];
-            band.marks[to] = Planes::DATA
-                | u8::from(certified[k]) * Planes::CERTIFIED
-                | u8::from(contradiction[k]) * Planes::CONTRADICTION;
+            band.marks[to] = Planes::marks(certified[k], contradiction[k]);
             if surface.corrected {
                 band.correction_m[to] = correction[k];
             }
