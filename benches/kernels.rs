@@ -19,9 +19,9 @@ use terraquilt::height::lod::cutter::standing;
 use terraquilt::height::lod::{
     Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World, places_touching_posts,
 };
-use terraquilt::height::patch::{Kind, Residuals};
+use terraquilt::height::patch::{Kind, Residuals, Shape, Vertices};
 use terraquilt::height::source::SampleType;
-use terraquilt::height::surface::Blend;
+use terraquilt::height::surface::{Blend, Planes};
 
 /// Hills in whole centimetres.
 fn hill(i: i64, j: i64) -> f64 {
@@ -270,7 +270,35 @@ fn questions(c: &mut Criterion) {
         });
     }
     group.finish();
+    let ground = s.surface(&query(0.0)).expect("a surface");
+    let mut group = c.benchmark_group("surface");
+    // Several surveys, some of them ending there: from tiles that one fills to points in the rim.
+    let row = |first: f64, step: f64| (0..512).map(|k| first + f64::from(k) * step).collect::<Vec<f64>>();
+    let (xs, ys) = (row(562_000.0, 2.5), row(5_116_590.0, -2.5));
+    let mut planes = Planes::default();
+    group.throughput(Throughput::Elements((xs.len() * ys.len()) as u64));
+    group.sample_size(20);
+    group.bench_function("grid", |b| {
+        b.iter(|| ground.grid_into(black_box(&xs), black_box(&ys), &mut planes).expect("heights"))
+    });
+    let near = |k: usize| {
+        let (x, y) = (xs[k % xs.len()], ys[k / xs.len()]);
+        [x + (y * 0.7) % 40.0, y + (x * 0.3) % 20.0]
+    };
+    let points: Vec<[f64; 2]> = (0..xs.len() * ys.len()).map(near).collect();
+    group.bench_function("points", |b| b.iter(|| ground.planes(black_box(&points)).expect("heights").len()));
+    group.bench_function("points one by one", |b| {
+        b.iter(|| ground.sheet().heights(black_box(&points[..4096])).expect("heights").len())
+    });
+    group.finish();
 }
 
-criterion_group!(kernels, blocks, errors, coverage, standings, questions);
+fn splines(c: &mut Criterion) {
+    let z: Box<Vertices> = Box::new(std::array::from_fn(|k| hill((k % 33) as i64, (k / 33) as i64)));
+    c.bench_function("spline through 33 x 33 vertices", |b| {
+        b.iter(|| Shape::new(Kind::Bicubic, black_box(z.clone())).at(3.5, 4.5).z)
+    });
+}
+
+criterion_group!(kernels, blocks, errors, coverage, standings, questions, splines);
 criterion_main!(kernels);

@@ -3,7 +3,7 @@
 //!
 //! DB is a bilinear database; a window in its middle is asked, of 1025 x 1025 steps of its finest survey for grids, of 2049 x
 //! 2049 for points. The bicubic database is made in a temporary folder, of FILE or of synthetic hills. One call warms blocks,
-//! patches and caches ("first" is its time); then the best of several calls counts. Rates are millions of heights a
+//! patches and caches ("first" is its rate); then the best of several calls counts. Rates are millions of heights a
 //! second: of the clock ("wall") and of the time that the thread had a core ("core", where the system tells), which is what
 //! counts where others compute as well. Takes about half a minute.
 
@@ -20,6 +20,8 @@ use terraquilt::height::surface::{Blend, Planes};
 
 /// Points along a side of the grids.
 const SIDE: usize = 1025;
+/// Posts along a side of the synthetic hills.
+const HILLS: u64 = 2049;
 /// Scattered points of one call.
 const POINTS: usize = 1_000_000;
 /// How long one figure may take, and how often it is taken.
@@ -143,16 +145,21 @@ fn grids(now: &Snapshot, row: u8, kind: &str, tolerances: &[f64], out: &mut Tabl
             .map(|k| [(k % SIDE) as f64 * step - half, (k / SIDE) as f64 * step - half])
             .map(|[x, y]| [m[0] + cos * x - sin * y, m[1] + sin * x + cos * y])
             .collect();
-        out.add(row, &format!("{kind}, grid turned by 17 degrees, as points"), tolerance, SIDE * SIDE, || {
-            Ok(ground.planes(&turned)?.marks.iter().filter(|m| **m != 0).count())
-        })?;
+        out.add(
+            row,
+            &format!("{kind}, grid turned by 17 degrees, as points"),
+            tolerance,
+            SIDE * SIDE,
+            || Ok(ground.planes(&turned)?.marks.iter().filter(|m| **m != 0).count()),
+        )?;
     }
     Ok(())
 }
 
 fn points(now: &Snapshot, kind: &str, tolerances: &[f64], out: &mut Table) -> Result<()> {
     let (m, step) = middle(now);
-    let side = step * 2048.0;
+    let b = now.bounds().expect("it holds a survey");
+    let side = (step * 2048.0).min(b[2] - b[0]).min(b[3] - b[1]);
     let mut state = 1u64;
     let mut unit = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -161,15 +168,19 @@ fn points(now: &Snapshot, kind: &str, tolerances: &[f64], out: &mut Table) -> Re
     let points: Vec<[f64; 2]> =
         (0..POINTS).map(|_| [m[0] + (unit() - 0.5) * side, m[1] + (unit() - 0.5) * side]).collect();
     for &tolerance in tolerances {
-        out.add(13, &format!("{kind}, random points, one call"), tolerance, POINTS, || {
-            let found = now.heights(&points, &Tolerance::Constant(tolerance), Blend::Exact)?;
-            Ok(found.iter().flatten().count())
+        let tolerance_m = Tolerance::Constant(tolerance);
+        out.add(13, &format!("{kind}, random points, as planes"), tolerance, POINTS, || {
+            let found = now.planes(&points, &tolerance_m, Blend::Exact)?;
+            Ok(found.marks.iter().filter(|m| **m != 0).count())
+        })?;
+        out.add(13, &format!("{kind}, random points, as structures"), tolerance, POINTS, || {
+            Ok(now.heights(&points, &tolerance_m, Blend::Exact)?.iter().flatten().count())
         })?;
     }
     Ok(())
 }
 
-/// Hills of 1025 x 1025 posts, 10 m apart, in whole decimetres.
+/// Hills of 2049 x 2049 posts, 10 m apart, in whole decimetres.
 struct Hills(SourceInfo);
 
 impl Hills {
@@ -177,11 +188,11 @@ impl Hills {
         Ok(Hills(SourceInfo {
             file: "hills".into(),
             format: "made up",
-            cols: SIDE as u64,
-            rows: SIDE as u64,
+            cols: HILLS,
+            rows: HILLS,
             sample_type: SampleType::I16,
             affine: Some(Affine {
-                origin: [500_005.0, 4_010_245.0],
+                origin: [500_005.0, 4_020_485.0],
                 col_step: [10.0, 0.0],
                 row_step: [0.0, -10.0],
             }),

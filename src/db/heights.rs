@@ -5,7 +5,7 @@ use super::query::{Ground, Makers, Tolerance};
 use crate::base::lattice::WORLD_HALF;
 use crate::base::{Error, Result};
 use crate::height::lod::cut::{Region, bounds};
-use crate::height::surface::{Evaluation, Hessian, How, Ordered, Planes, Seams};
+use crate::height::surface::{Evaluation, Hessian, How, Planes, Seams};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -13,6 +13,8 @@ use std::ops::Range;
 const FEW: usize = 16;
 /// Points of one piece of work.
 const PIECE: usize = 4096;
+/// Points that are worked before what was found is put where it belongs: 1.4 MB.
+const BATCH: usize = 16 * PIECE;
 /// Rows of a grid that are one piece of work: those of a tile.
 const ROWS: usize = 64;
 /// Points that are brought into order at once.
@@ -25,38 +27,37 @@ impl Ground<'_> {
         if points.len() < FEW {
             return self.sheet().heights(points);
         }
-        let mut out = Vec::with_capacity(points.len());
-        for points in points.chunks(ORDERED_MAX) {
-            let ordered = self.surface.order(points);
-            let planes = self.in_order(&ordered)?;
-            let mut place = vec![0u32; points.len()];
-            ordered.numbers.iter().enumerate().for_each(|(at, k)| place[*k as usize] = at as u32);
-            out.par_extend(place.par_iter().with_min_len(PIECE).map(|at| planes.evaluation(*at as usize)));
-        }
+        let mut out = vec![None; points.len()];
+        self.in_order(points, |k, planes, at| out[k] = planes.evaluation(at))?;
         Ok(out)
     }
 
     /// The same without gradients and structures, for callers that need some numbers of many points.
     pub fn planes(&self, points: &[[f64; 2]]) -> Result<Planes> {
         let mut out = Planes::unfilled(points.len(), self.surface.corrected);
-        for (n, points) in points.chunks(ORDERED_MAX).enumerate() {
-            let ordered = self.surface.order(points);
-            let planes = self.in_order(&ordered)?;
-            for (at, k) in ordered.numbers.iter().enumerate() {
-                out.put_one(n * ORDERED_MAX + *k as usize, &planes, at);
-            }
-        }
+        self.in_order(points, |k, planes, at| out.put_one(k, planes, at))?;
         Ok(out)
     }
 
-    fn in_order(&self, ordered: &Ordered) -> Result<Planes> {
-        let mut planes = Planes::unfilled(ordered.points.len(), self.surface.corrected);
-        planes
-            .bands(PIECE)
-            .into_par_iter()
-            .zip(ordered.points.par_chunks(PIECE))
-            .try_for_each(|(mut band, points)| self.sheet().scattered(points, &mut band))?;
-        Ok(planes)
+    /// Works points in order of place, some at a time so that what is found stays in the processor's caches, and hands it
+    /// over: which point, and where it stands.
+    fn in_order(&self, points: &[[f64; 2]], mut put: impl FnMut(usize, &Planes, usize)) -> Result<()> {
+        let mut planes = Planes::default();
+        for (n, points) in points.chunks(ORDERED_MAX).enumerate() {
+            let ordered = self.surface.order(points);
+            for (points, numbers) in ordered.points.chunks(BATCH).zip(ordered.numbers.chunks(BATCH)) {
+                planes.resize(points.len(), self.surface.corrected);
+                planes
+                    .bands(PIECE)
+                    .into_par_iter()
+                    .zip(points.par_chunks(PIECE))
+                    .try_for_each(|(mut band, points)| self.sheet().scattered(points, &mut band))?;
+                for (at, k) in numbers.iter().enumerate() {
+                    put(n * ORDERED_MAX + *k as usize, &planes, at);
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Heights on a grid along the axes, in parallel: at `(xs[c], ys[r])`, row by row; in whatever steps, fastest where both
@@ -106,6 +107,9 @@ impl Ground<'_> {
 /// What is asked of a surface at points.
 type Ask<'a, E> = &'a dyn Fn(&Ground, &[[f64; 2]]) -> Result<Vec<Option<E>>>;
 
+/// What is done with the points of a window: their numbers, and their box.
+type Leaf<'a> = &'a mut dyn FnMut(&[usize], [f64; 4]) -> Result<()>;
+
 /// Side of a window whose surface is taken in one piece, in steps of the finest survey: the more is asked, the larger, so
 /// that patches are not selected again and again; few points far apart do not select all that lies between.
 fn window_steps(points: usize) -> f64 {
@@ -128,12 +132,7 @@ impl Snapshot {
     }
 
     /// As [`Snapshot::heights`], without structures: a third of the memory.
-    pub fn planes(
-        &self,
-        points: &[[f64; 2]],
-        tolerance: &Tolerance,
-        how: impl Into<How>,
-    ) -> Result<Planes> {
+    pub fn planes(&self, points: &[[f64; 2]], tolerance: &Tolerance, how: impl Into<How>) -> Result<Planes> {
         let how = how.into();
         checked(tolerance)?;
         let corrected = how.seams != Seams::Off;
@@ -278,13 +277,7 @@ impl Snapshot {
     }
 
     /// Hands over the points window by window, each with its box, where there are surveys.
-    fn windows(
-        &self,
-        points: &[[f64; 2]],
-        order: &mut [usize],
-        side_max: f64,
-        leaf: &mut dyn FnMut(&[usize], [f64; 4]) -> Result<()>,
-    ) -> Result<()> {
+    fn windows(&self, points: &[[f64; 2]], order: &mut [usize], side_max: f64, leaf: Leaf) -> Result<()> {
         let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for p in order.iter().map(|k| points[*k]) {
             b = [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])];

@@ -14,9 +14,7 @@ use crate::height::cells::{Block, Fill};
 use crate::height::lod::cut::{Camera, Constant, Cut, ErrorRaster, Foci, Region};
 use crate::height::lod::{Cells, Place, SurveyNumber, World};
 use crate::height::patch::{Kind, Shape};
-use crate::height::surface::{
-    Hood, How, Patch, Seams, Sheet, Source, Surface, SurveyField, seam,
-};
+use crate::height::surface::{Hood, How, Patch, Seams, Sheet, Source, Surface, SurveyField, seam};
 use crate::store::quadtree::Record;
 use quick_cache::sync::Cache;
 use rayon::prelude::*;

@@ -20,7 +20,12 @@ fn bits(e: &Option<Evaluation>) -> Option<[u64; 7]> {
     })
 }
 
-fn same(found: &[Option<Evaluation>], plain: &[Option<Evaluation>], at: impl Fn(usize) -> [f64; 2], what: &str) {
+fn same(
+    found: &[Option<Evaluation>],
+    plain: &[Option<Evaluation>],
+    at: impl Fn(usize) -> [f64; 2],
+    what: &str,
+) {
     assert_eq!(found.len(), plain.len(), "{what}");
     for (k, (f, p)) in found.iter().zip(plain).enumerate() {
         assert_eq!(bits(f), bits(p), "{what}: at {:?}\n{f:?}\n{p:?}", at(k));
@@ -129,7 +134,8 @@ fn every_door_has_the_bits_of_the_definition_over_random_worlds() {
 fn every_door_has_the_bits_of_the_definition_over_real_surveys() {
     let mut r = Random::new(seeds(1)[0]);
     let kit = Kind::ALL.map(|kind| worlds::kit_of(Policy::Accuracy, kind));
-    let real = kit.into_iter().chain([worlds::helens(Policy::Newest, 0), worlds::helens(Policy::Accuracy, 2)]);
+    let real =
+        kit.into_iter().chain([worlds::helens(Policy::Newest, 0), worlds::helens(Policy::Accuracy, 2)]);
     for (n, world) in real.flatten().enumerate() {
         println!("world {n}: {} heights", hold_all(&world, &mut r, &format!("world {n}")));
     }
@@ -155,9 +161,18 @@ fn grids_of_a_version_say_what_its_points_say() {
                 let found = world.snapshot.grid(&xs, &ys, &tolerance, Blend::Exact).unwrap();
                 let plain = world.snapshot.heights(&points, &tolerance, Blend::Exact).unwrap();
                 same(&found.evaluations(), &plain, at, &format!("{kind:?} far {far} within {metres} m"));
+                let found = world.snapshot.planes(&points, &tolerance, Blend::Exact).unwrap();
+                same(
+                    &found.evaluations(),
+                    &plain,
+                    at,
+                    &format!("{kind:?} far {far} within {metres} m, planes"),
+                );
             }
         }
-        assert!(world.snapshot.grid(&[], &[0.0], &Tolerance::Constant(0.0), Blend::Exact).unwrap().is_empty());
+        assert!(
+            world.snapshot.grid(&[], &[0.0], &Tolerance::Constant(0.0), Blend::Exact).unwrap().is_empty()
+        );
         assert!(world.snapshot.grid(&[0.0], &[0.0], &Tolerance::Constant(-1.0), Blend::Exact).is_err());
     }
 }

@@ -55,7 +55,13 @@ impl Sheet<'_> {
     }
 
     /// The correction of a survey at a point of its index space.
-    pub(super) fn correction<T: Real>(&self, survey: usize, index: [T; 2], z: T, s: &mut Scratch) -> Result<Bent<T>> {
+    pub(super) fn correction<T: Real>(
+        &self,
+        survey: usize,
+        index: [T; 2],
+        z: T,
+        s: &mut Scratch,
+    ) -> Result<Bent<T>> {
         let block = index.map(|c| (c.value() / KERNEL as f64).floor());
         let key = (block[0] as i32, block[1] as i32);
         s.seams.resize(self.surface.surveys.len(), None);

@@ -281,7 +281,7 @@ impl Sheet<'_> {
         s.hoods.resize(LATELY, None);
         let at = i.wrapping_add(j.wrapping_mul(8)).wrapping_add(survey as i32 * 29) as u32 as usize;
         let slot = &mut s.hoods[at % LATELY];
-        if !slot.as_ref().is_some_and(|(k, _)| *k == key) {
+        if slot.as_ref().is_none_or(|(k, _)| *k != key) {
             *slot = Some((key, self.source.hood(survey, i, j)?));
         }
         Ok(&slot.as_ref().expect("it was there or has just been put there").1)
@@ -291,7 +291,7 @@ impl Sheet<'_> {
     pub(super) fn shape<'s>(&self, patch: u32, s: &'s mut Scratch) -> Result<&'s Shape> {
         s.last.resize(LATELY, None);
         let slot = &mut s.last[patch as usize % LATELY];
-        if !slot.as_ref().is_some_and(|(n, _)| *n == patch) {
+        if slot.as_ref().is_none_or(|(n, _)| *n != patch) {
             *slot = Some((patch, self.source.shape(patch as usize)?));
         }
         Ok(&slot.as_ref().expect("it was there or has just been put there").1)

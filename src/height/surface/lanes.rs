@@ -3,6 +3,9 @@
 //! them become vector instructions, as wide as the processor has (`multiversion` chooses when the program runs). No
 //! sum runs across points and nothing is fused, so width does not show in the result.
 
+// Loops run over several arrays side by side: by index they read as the formula does.
+#![allow(clippy::needless_range_loop)]
+
 use super::SurveyField;
 use super::eval::SHARE_MIN;
 use super::real::Real;
@@ -70,8 +73,9 @@ pub fn along(index: &Lane, count: usize, first: f64, per_cell: f64, kind: Kind, 
     }
 }
 
+/// The same in plain numbers, or in the vectors of whoever it is part of.
 #[inline(always)]
-fn along_of(index: &Lane, count: usize, first: f64, per_cell: f64, kind: Kind, to: &mut Along) {
+pub fn along_of(index: &Lane, count: usize, first: f64, per_cell: f64, kind: Kind, to: &mut Along) {
     const LAST: f64 = (SIDE - 2) as f64;
     for k in 0..count.min(RUN) {
         let s = (index[k] - first) * per_cell;

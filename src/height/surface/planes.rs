@@ -87,6 +87,18 @@ impl Planes {
         self.z.is_empty()
     }
 
+    /// The marks of a point with a height.
+    pub(super) fn marks(certified: bool, contradiction: bool) -> u8 {
+        let mut marks = Planes::DATA;
+        if certified {
+            marks |= Planes::CERTIFIED;
+        }
+        if contradiction {
+            marks |= Planes::CONTRADICTION;
+        }
+        marks
+    }
+
     pub fn has_data(&self, k: usize) -> bool {
         self.marks[k] & Planes::DATA != 0
     }
@@ -159,16 +171,15 @@ impl Band<'_> {
     /// Writes what was found at a point.
     pub(super) fn set(&mut self, k: usize, found: Option<&Evaluation>) {
         let Some(e) = found else {
-            (self.z[k], self.error_m[k], self.accuracy_m[k], self.marks[k]) = (f64::NAN, f64::NAN, f32::NAN, 0);
+            (self.z[k], self.error_m[k], self.accuracy_m[k], self.marks[k]) =
+                (f64::NAN, f64::NAN, f32::NAN, 0);
             return;
         };
         self.z[k] = e.z;
         self.error_m[k] = e.error_m;
         // Accuracies are stored as f32: the same number.
         self.accuracy_m[k] = e.accuracy_m as f32;
-        self.marks[k] = Planes::DATA
-            | u8::from(e.certified) * Planes::CERTIFIED
-            | u8::from(e.contradiction) * Planes::CONTRADICTION;
+        self.marks[k] = Planes::marks(e.certified, e.contradiction);
         if let Some(c) = self.correction_m.get_mut(k) {
             *c = e.correction_m;
         }

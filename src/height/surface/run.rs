@@ -163,7 +163,14 @@ impl Sheet<'_> {
         let mut weights = [0.0; RUN];
         // The factors of `evaluate`, in its order; those that are 1 change nothing.
         let mixed = met.cover == Cover::Mixed;
-        lanes::weights(&s.a, &s.b, count, volume, if mixed { 1.0 } else { level.unwrap_or(1.0) }, &mut weights);
+        lanes::weights(
+            &s.a,
+            &s.b,
+            count,
+            volume,
+            if mixed { 1.0 } else { level.unwrap_or(1.0) },
+            &mut weights,
+        );
         if mixed {
             for k in 0..count {
                 s.f[k] = 1.0 - met.outside[k];
@@ -260,7 +267,14 @@ impl Sheet<'_> {
     }
 
     /// Finds the corrections of a survey where it contributes.
-    fn bend(&self, survey: usize, allowed: Allowed, weights: &Lane, count: usize, s: &mut Runs) -> Result<()> {
+    fn bend(
+        &self,
+        survey: usize,
+        allowed: Allowed,
+        weights: &Lane,
+        count: usize,
+        s: &mut Runs,
+    ) -> Result<()> {
         let met = &mut s.met[survey];
         for k in (0..count).filter(|k| weights[*k] > 0.0) {
             if !met.corrected[k] {
@@ -422,9 +436,7 @@ impl Sheet<'_> {
             band.z[to] = s.f[k];
             band.error_m[to] = errors[k];
             band.accuracy_m[to] = accuracy[k];
-            band.marks[to] = Planes::DATA
-                | u8::from(certified[k]) * Planes::CERTIFIED
-                | u8::from(contradiction[k]) * Planes::CONTRADICTION;
+            band.marks[to] = Planes::marks(certified[k], contradiction[k]);
             if surface.corrected {
                 band.correction_m[to] = correction[k];
             }

@@ -6,6 +6,9 @@
 //! no seams to correct, and each survey either fills the tile or is not there. Other tiles are cut in halves, down to runs of
 //! points ([`run`](super::run)).
 
+// Loops run over several arrays side by side: by index they read as the formula does.
+#![allow(clippy::needless_range_loop)]
+
 use super::eval::{Blend, Patch, SHARE_MIN, Sheet};
 use super::lanes::{self, Along, Lane, RUN, Sums, WIDTH};
 use super::run::{Cover, Runs};
@@ -101,8 +104,7 @@ impl Sheet<'_> {
     /// ascend or descend.
     pub fn grid(&self, xs: &[f64], ys: &[f64], band: &mut Band) -> Result<()> {
         let mut s = Tiles::default();
-        let plain =
-            sorted(xs) && sorted(ys) && self.cut.everywhere().is_some() && !self.surface.corrected;
+        let plain = sorted(xs) && sorted(ys) && self.cut.everywhere().is_some() && !self.surface.corrected;
         for (r, ys) in ys.chunks(TILE).enumerate() {
             for (c, part) in xs.chunks(TILE).enumerate() {
                 let site = Site { col: c * TILE, row: r * TILE, width: xs.len() };
@@ -171,7 +173,8 @@ impl Sheet<'_> {
             if s.met[patch.survey].cover == Cover::Outside {
                 continue;
             }
-            let level = if self.surface.blend == Blend::Exact { self.plain_level(patch, &s.met) } else { 1.0 };
+            let level =
+                if self.surface.blend == Blend::Exact { self.plain_level(patch, &s.met) } else { 1.0 };
             if level <= 0.0 {
                 continue;
             }
@@ -262,7 +265,8 @@ impl Sheet<'_> {
             let end = w.iter().rposition(|w| *w > 0.0)? + 1;
             Some(([first, end], w[first].min(w[end - 1])))
         };
-        let (Some((cols, wa)), Some((rows, wb))) = (within(&a.weight[..cols]), within(&b.weight[..rows])) else {
+        let (Some((cols, wa)), Some((rows, wb))) = (within(&a.weight[..cols]), within(&b.weight[..rows]))
+        else {
             return Ok(None);
         };
         let volume = kind.volume() / (survey.half[0] * r * (survey.half[1] * r));
@@ -404,6 +408,77 @@ impl Part {
                     f[k] = spline.height(a.cell[k] as usize, a.x[k], b, y);
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::height::patch::Kind;
+
+    /// Numbers from 0 to 1.
+    fn random(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed;
+        move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        }
+    }
+
+    /// The widest vectors of this machine against none: rows of tiles over random patches, in all steps.
+    #[test]
+    fn vectors_have_the_bits_of_plain_numbers() {
+        for seed in 0..200 {
+            let mut unit = random(seed);
+            let kind = Kind::ALL[seed as usize % 2];
+            let count = 1 + (unit() * 64.0) as usize;
+            // At whole posts, finer, coarser; towards lower indices, too.
+            let step = [1.0, 1.0, 0.3 * unit(), 5.0 * unit(), -1.0][seed as usize % 5];
+            let from = unit() * 60.0 - 10.0;
+            let from = if step.abs() == 1.0 { from.floor() } else { from };
+            let index: Lane = std::array::from_fn(|k| from + step * k as f64);
+            let (mut parts, mut along) = (Vec::new(), Vec::new());
+            for place in 0..6 {
+                let [mut a, mut plain] = [Along::NONE, Along::NONE];
+                let first = f64::from(place) * 14.0 - 20.0;
+                lanes::along(&index, count, first, 1.0, kind, &mut a);
+                lanes::along_of(&index, count, first, 1.0, kind, &mut plain);
+                for k in 0..count {
+                    assert_eq!(a.cell[k], plain.cell[k]);
+                    assert_eq!(a.x[k].to_bits(), plain.x[k].to_bits());
+                    assert_eq!(a.weight[k].to_bits(), plain.weight[k].to_bits());
+                }
+                let inside = |w: &f64| *w > 0.0;
+                let Some(low) = a.weight[..count].iter().position(inside) else { continue };
+                let end = a.weight[..count].iter().rposition(inside).expect("one is there") + 1;
+                let cells = &a.cell[low..end];
+                let ends = [cells[0] as usize, cells[cells.len() - 1] as usize];
+                let mut b = Along::NONE;
+                (b.cell[0], b.x[0], b.weight[0]) = ((unit() * 32.0) as u32, unit(), unit());
+                parts.push(Part {
+                    shape: Shape::new(kind, Box::new(std::array::from_fn(|_| 100.0 * unit()))),
+                    cols: [low, end],
+                    rows: [0, 1],
+                    cells: [ends[0].min(ends[1]), ends[0].max(ends[1])],
+                    straight: cells.windows(2).all(|c| c[1] == c[0] + 1),
+                    volume: 1.0 / 256.0,
+                    level: unit(),
+                    bound: unit(),
+                    least: 0.0,
+                    counts: place % 3 > 0,
+                });
+                along.push([a, b]);
+            }
+            let work = |f: &dyn Fn(&mut Line, &mut [f64], &mut [f64]) -> bool| {
+                let (mut z, mut error) = (vec![0.0; count], vec![0.0; count]);
+                let all = f(&mut Line::default(), &mut z, &mut error);
+                let bits = |v: Vec<f64>| v.into_iter().map(f64::to_bits).collect::<Vec<_>>();
+                (all, bits(z), bits(error))
+            };
+            let wide = work(&|l, z, e| row(&parts, &along, 0, l, z, e));
+            let plain = work(&|l, z, e| row_of(&parts, &along, 0, l, z, e));
+            assert_eq!(wide, plain, "{kind:?} seed {seed}");
         }
     }
 }
