@@ -4,14 +4,18 @@ use super::Snapshot;
 use super::query::{Area, Ground, Query, Tolerance};
 use super::view::{Rules, Tables};
 use super::walls::{Ring, place_in_cell, rings, steep};
+use crate::base::lattice::Point;
 use crate::base::{Error, Result};
 use crate::height::crs::AxisUnit;
 use crate::height::frame::{CellRect, Frame};
 use crate::height::lod::cover::rects;
 use crate::height::lod::cut::Region;
 use crate::height::lod::{Cells, World};
-use crate::height::surface::Seams;
-use crate::mesh::{Field, FieldSample, Mesh, MeshOptions, Polygon, outline, outline_within, triangulate};
+use crate::height::patch::Kind;
+use crate::height::surface::{Blend, Seams};
+use crate::mesh::{
+    Field, FieldSample, Mesh, MeshOptions, Polygon, PostGrid, outline, outline_within, triangulate,
+};
 use std::sync::Mutex;
 
 /// Posts that one mesh is measured at, at most.
@@ -185,6 +189,9 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
     let around = rings(s, b)?;
     let (steep, candidates) = steep(&around, &ground, b, &flat_m)?;
     let mut options = MeshOptions::new(mesh_error_m, step, posts.clone());
+    if cut.is_none() {
+        options.grid = lattice(s, &query, (b, &pieces, posts.len()), (origin, scale))?;
+    }
     options.wall_m = if steep.is_empty() { 0.0 } else { step * WALL_STEPS };
     options.posts.extend(candidates.into_iter().map(local));
     let field = GroundField {
@@ -253,6 +260,60 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
         error_m,
         tolerance_used,
     })
+}
+
+/// A lattice has at most so many times the posts of the cells in it, for the surface to be made of it.
+const LATTICE_POSTS: usize = 4;
+
+/// The surface as the posts of one lattice, where it is bilinear in each of its cells: in a bilinear database, where one survey
+/// alone reaches the region, and no patch that is selected is off its posts. At the tolerance of a mesh that holds: it is at
+/// most the survey's accuracy, so every contributor's error is the accuracy itself (theorem T7), rounded upwards.
+fn lattice(
+    s: &Snapshot,
+    query: &Query,
+    (b, pieces, posts): ([f64; 4], &[Piece], usize),
+    (origin, scale): ([f64; 2], [f64; 2]),
+) -> Result<Option<PostGrid>> {
+    let alone = Rules(&s.view).meeting(&region_bounds(b, s.unit().size())).len() == 1;
+    let Some(first) = pieces.first() else { return Ok(None) };
+    if !alone || s.kind() != Kind::Bilinear || query.how.blend != Blend::Exact {
+        return Ok(None);
+    }
+    let whole = pieces.iter().map(|p| p.cells).reduce(|r, c| CellRect {
+        i0: r.i0.min(c.i0),
+        j0: r.j0.min(c.j0),
+        i1: r.i1.max(c.i1),
+        j1: r.j1.max(c.j1),
+    });
+    let Some(r) = whole else { return Ok(None) };
+    let (cols, rows) = (r.width() as usize + 1, r.height() as usize + 1);
+    let cells: usize = pieces.iter().map(|p| ((p.cells.width() + 1) * (p.cells.height() + 1)) as usize).sum();
+    if cols.saturating_mul(rows) > LATTICE_POSTS * cells.max(posts) {
+        return Ok(None);
+    }
+    // Cells at the side of the region have posts outside of it.
+    let place = |i: i64, j: i64| place_in_cell(&first.frame, first.size, (i, j), [0.0, 0.0]);
+    let corners = [(r.i0, r.j0), (r.i1, r.j0), (r.i0, r.j1), (r.i1, r.j1)].map(|(i, j)| place(i, j));
+    let wide = crate::height::lod::cut::bounds(&corners);
+    if s.near(wide).len() != 1 {
+        return Ok(None);
+    }
+    let ground = s.surface(&Query { area: Area::Box(wide), ..query.clone() })?;
+    let mut heights = vec![f64::NAN; cols * rows];
+    for piece in pieces {
+        let c = piece.cells;
+        for j in c.j0..=c.j1 {
+            let at: Vec<[f64; 2]> = (c.i0..=c.i1).map(|i| place(i, j)).collect();
+            let from = (j - r.j0) as usize * cols + (c.i0 - r.i0) as usize;
+            for (z, found) in heights[from..].iter_mut().zip(ground.heights(&at)?) {
+                *z = found.map_or(f64::NAN, |e| e.z);
+            }
+        }
+    }
+    let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);
+    let way = |p: Point| [p.x as f64 * first.size * scale[0], p.y as f64 * first.size * scale[1]];
+    let (u, v) = (way(first.frame.u), way(first.frame.v));
+    Ok(Some(PostGrid { origin: local(place(r.i0, r.j0)), u, v, cols, rows, heights }))
 }
 
 /// Tolerances above are as good as this one, metres.

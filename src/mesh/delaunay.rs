@@ -20,8 +20,12 @@
 
 use super::border::{border, sample_surely};
 use super::extract::{Extract, extract};
+use super::flat::{Flat, Vertex};
+use super::grow::Ground;
 use super::lattice::Lattice;
 use super::measure::{measure, snap_heights};
+use super::plain::lay;
+use super::posts::PostGrid;
 use super::thin::thin;
 use super::tin::{BorderSplit, Site, Tin};
 use super::{Field, Mesh, MeshOptions, Polygon, grid_unit};
@@ -86,6 +90,15 @@ pub fn triangulate(
     let mut tin = Tin::new(rim.knots, &rim.edges, (unit, step, bound))?;
     let look = |fraction: f64| if progress(fraction) { Ok(()) } else { Err(Error::Stopped) };
     look(0.0)?;
+    if let Some(grid) = &options.grid
+        && let Some(mesh) = plain_mesh(&tin, grid, (unit, bound), &|share, vertices| {
+            within_limit(vertices)?;
+            look(share)
+        })?
+    {
+        whole(region, &mesh.positions, &mesh.triangles)?;
+        return Ok(mesh);
+    }
     for posts in options.posts.chunks(SAMPLE_POINTS) {
         let mut sites = sites(field, posts);
         snap_heights(&tin, field, sites.iter_mut().collect());
@@ -141,6 +154,38 @@ pub fn triangulate(
         look(0.99)?;
     }
     Ok(Mesh { positions, normals, triangles, error_m, measured_points })
+}
+
+/// The mesh of a field that is bilinear on a lattice. `None` where that finds no way to stay within the bound.
+fn plain_mesh(
+    tin: &Tin,
+    grid: &PostGrid,
+    (unit, bound): (f64, f64),
+    look: &dyn Fn(f64, usize) -> Result<()>,
+) -> Result<Option<Mesh>> {
+    let first = extract(tin);
+    let vertex = |p: &[f64; 3]| {
+        let [x, y] = [p[0], p[1]].map(|v| (v / unit).round() as i32);
+        Vertex { z: p[2], ..Ground { grid, unit, bound }.vertex_at(x, y) }
+    };
+    let flat = Flat::new(first.positions.iter().map(vertex).collect(), &first.triangles);
+    if flat.vertices.iter().any(|v| !v.field.is_finite()) {
+        return Ok(None);
+    }
+    let laid = lay(flat, grid, (unit, bound), look)?;
+    if !(laid.error_m <= bound) {
+        return Ok(None);
+    }
+    let flat = laid.flat;
+    let place = |v: &Vertex| [f64::from(v.x) * unit, f64::from(v.y) * unit, v.z];
+    let normals = flat.vertices.iter().map(|v| grid.slopes(v.i, v.j)).map(|[x, y]| normal(x, y)).collect();
+    Ok(Some(Mesh {
+        positions: flat.vertices.iter().map(place).collect(),
+        normals,
+        triangles: (0..flat.triangle_count() as u32).map(|t| flat.triangle(t)).collect(),
+        error_m: laid.error_m,
+        measured_points: laid.points,
+    }))
 }
 
 /// A mesh covers its region: a guard against faults of ours, since an error is measured only where triangles are.

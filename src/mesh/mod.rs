@@ -16,9 +16,15 @@ mod border;
 mod check;
 mod delaunay;
 mod extract;
+mod flat;
+mod grow;
 mod lattice;
 mod measure;
 mod outline;
+mod parts;
+mod plain;
+mod posts;
+mod shrink;
 #[cfg(test)]
 mod tests;
 mod thin;
@@ -28,6 +34,7 @@ mod weave;
 pub use check::{MeshStats, check};
 pub use delaunay::triangulate;
 pub use outline::{Polygon, grid_unit, outline, outline_within};
+pub use posts::PostGrid;
 
 /// Height and slope of a surface at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -81,6 +88,9 @@ pub struct MeshOptions {
     /// field takes the mesh's height within this horizontal distance, metres; 0: nowhere. A continuous surface may climb metres in
     /// millimetres where two surveys disagree, and no mesh of 32-bit floats follows that vertically.
     pub wall_m: f64,
+    /// Set where the field is bilinear in the cells of one lattice all over the region, and its share 1: then no other point of
+    /// the field is asked for than those of the border, and `posts` are not used.
+    pub grid: Option<PostGrid>,
     /// At most so many vertices.
     pub vertices_max: usize,
 }
@@ -93,6 +103,7 @@ impl MeshOptions {
             step_m,
             posts,
             wall_m: 0.0,
+            grid: None,
             vertices_max: crate::base::limits::MESH_VERTICES_MAX,
         }
     }

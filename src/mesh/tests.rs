@@ -288,3 +288,73 @@ fn the_grid_is_what_32_bits_resolve() {
         assert_eq!(f64::from(x as f32), x);
     }
 }
+
+/// The bilinear cells of a lattice, of which some are void.
+struct Cells {
+    grid: PostGrid,
+    quads: Vec<[[f64; 2]; 4]>,
+}
+
+impl Field for Cells {
+    fn sample(&self, points: &[[f64; 2]], out: &mut Vec<Option<FieldSample>>) {
+        out.clear();
+        out.extend(points.iter().map(|p| {
+            let (i, j) = self.grid.index(*p);
+            let [dzdx, dzdy] = self.grid.slopes(i, j);
+            let z = self.grid.at(i, j);
+            z.is_finite().then_some(FieldSample { z, dzdx, dzdy })
+        }));
+    }
+}
+
+#[test]
+fn a_lattice_is_met_everywhere_and_not_only_at_its_posts() {
+    let n = 200i32;
+    for (angle, voids) in [(0.0f64, false), (0.35, false), (0.0, true)] {
+        let step = 2.0;
+        let void = |i: i32, j: i32| voids && (i - 60).pow(2) + (j - 90).pow(2) < 300;
+        let quads = cells(n, step, angle, void);
+        let (sin, cos) = angle.sin_cos();
+        let (u, v) = ([step * cos, step * sin], [-step * sin, step * cos]);
+        let half = f64::from(n / 2);
+        let origin = [0, 1].map(|k| -half * (u[k] + v[k]));
+        let side = n as usize + 1;
+        let mut grid = PostGrid { origin, u, v, cols: side, rows: side, heights: vec![] };
+        grid.heights = (0..side * side)
+            .map(|k| {
+                let (i, j) = ((k % side) as i32, (k / side) as i32);
+                // A post of void cells only has no height.
+                let alone = (0..4).all(|c| void(i - c % 2, j - c / 2));
+                let [x, y] = grid.place(f64::from(i), f64::from(j));
+                if alone { f64::NAN } else { fractal(x, y) }
+            })
+            .collect();
+        let field = Cells { grid, quads };
+        let region = outline(&field.quads, None).expect("an outline");
+        let bound = 0.4;
+        let options = MeshOptions { grid: Some(field.grid.clone()), ..MeshOptions::new(bound, step, vec![]) };
+        let mesh = triangulate(&field, &region, &options, &|_| true).expect("a mesh");
+        let stats = check(&mesh).expect("a manifold");
+        let area: f64 = region.iter().map(Polygon::area).sum();
+        assert!((stats.area_m2 - area).abs() <= 1e-5 * area, "{} of {area}", stats.area_m2);
+        assert!(mesh.error_m <= bound && mesh.error_m > 0.9 * bound, "{}", mesh.error_m);
+        assert!(mesh.triangles.len() < 2 * (n * n) as usize, "no fewer than the cells have");
+        let (mut seed, mut worst) = (7, 0.0f64);
+        for t in &mesh.triangles {
+            let at = t.map(|v| mesh.positions[v as usize]);
+            for _ in 0..20 {
+                let (a, b) = (next(&mut seed), next(&mut seed));
+                let (a, b) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
+                let p: Vec<f64> =
+                    (0..3).map(|c| a * at[0][c] + b * at[1][c] + (1.0 - a - b) * at[2][c]).collect();
+                let (i, j) = field.grid.index([p[0], p[1]]);
+                worst = worst.max((p[2] - field.grid.at(i, j)).abs());
+            }
+        }
+        println!("turned by {angle}: {} triangles, {worst} m at random points", mesh.triangles.len());
+        assert!(worst <= mesh.error_m * (1.0 + 1e-6), "{worst} at a random point, {} told", mesh.error_m);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+        let again = pool.install(|| triangulate(&field, &region, &options, &|_| true)).expect("a mesh again");
+        assert!(mesh == again, "two runs differ");
+    }
+}
