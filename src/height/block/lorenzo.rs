@@ -82,13 +82,12 @@ macro_rules! planes {
                 let mut zigzag: [$unsigned; N] = [0; N];
                 for (p, plane) in planes.chunks_exact(n).enumerate() {
                     let bytes = widened(&plane[r * cols..(r + 1) * cols]);
-                    for k in 0..N {
-                        zigzag[k] |= <$unsigned>::from(bytes[k]) << (8 * p);
+                    for (z, byte) in zigzag.iter_mut().zip(bytes) {
+                        *z |= <$unsigned>::from(byte) << (8 * p);
                     }
                 }
-                for k in 0..N {
-                    let d = (zigzag[k] >> 1) ^ (0 as $unsigned).wrapping_sub(zigzag[k] & 1);
-                    down[k] = down[k].wrapping_add(d);
+                for (sum, z) in down.iter_mut().zip(zigzag) {
+                    *sum = sum.wrapping_add((z >> 1) ^ (0 as $unsigned).wrapping_sub(z & 1));
                 }
                 let mut line = down;
                 let mut run: $unsigned = 0;
