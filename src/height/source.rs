@@ -122,6 +122,8 @@ impl SampleType {
     ///
     /// # Panics
     /// If `bytes` does not hold `out.len()` samples.
+    // One of the types is f64 itself.
+    #[allow(clippy::useless_conversion)]
     pub fn values(self, bytes: &[u8], out: &mut [f64]) {
         assert_eq!(bytes.len(), out.len() * self.bytes(), "one sample a value");
         each_type!(self, T => {
@@ -136,6 +138,8 @@ impl SampleType {
     ///
     /// # Panics
     /// If `bytes` does not hold `valid.len()` samples.
+    // One of the types is f64 itself.
+    #[allow(clippy::useless_conversion)]
     pub fn span(self, bytes: &[u8], valid: &[u8]) -> (u64, [f64; 2]) {
         assert_eq!(bytes.len(), valid.len() * self.bytes(), "one byte of validity a sample");
         let count = valid.iter().map(|v| u64::from(*v != 0)).sum();
