@@ -16,10 +16,8 @@ use terraquilt::height::cells::{Block, Fill};
 use terraquilt::height::crs::Crs;
 use terraquilt::height::frame::{CellRect, Frame};
 use terraquilt::height::lod::cutter::standing;
-use terraquilt::height::lod::{
-    Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World, places_touching_posts,
-};
-use terraquilt::height::patch::{Kind, Residuals};
+use terraquilt::height::lod::{Cells, Fact, Geometry, PatchId, Place, SurveyNumber, World};
+use terraquilt::height::patch::Kind;
 use terraquilt::height::source::SampleType;
 use terraquilt::height::surface::Blend;
 
@@ -228,36 +226,5 @@ fn questions(c: &mut Criterion) {
     group.finish();
 }
 
-/// All levels of a pyramid over one block of posts.
-fn errors(c: &mut Criterion) {
-    const LEVELS: std::ops::RangeInclusive<u8> = 1..=9;
-    let mut group = c.benchmark_group("errors of a block");
-    // A block that is not at the edge of anything, in metres.
-    let (i0, j0) = (40 * BLOCK, 25 * BLOCK);
-    let n = BLOCK as usize;
-    let posts: Vec<f64> = (0..BLOCK * BLOCK).map(|k| hill(i0 + k % BLOCK, j0 + k / BLOCK)).collect();
-    let vertices = |level: u8| {
-        let (v0, v1) = (i0 >> level, ((i0 + BLOCK - 1) >> level) + 1);
-        let rows = j0 >> level..=((j0 + BLOCK - 1) >> level) + 1;
-        rows.map(|v| (v0..=v1).map(|u| hill(u << level, v << level)).collect()).collect()
-    };
-    let lines: Vec<Vec<Vec<f64>>> = LEVELS.map(vertices).collect();
-    group.throughput(Throughput::Elements((BLOCK * BLOCK) as u64));
-    group.bench_function("bilinear", |b| {
-        b.iter(|| {
-            LEVELS.zip(&lines).fold(0.0f64, |most, (level, lines)| {
-                let places = places_touching_posts(level, i0, j0, i0 + BLOCK - 1, j0 + BLOCK - 1);
-                let mut gather = Residuals::new(level, places, i0, n);
-                for (j, row) in (j0..).zip(black_box(&posts).chunks_exact(n)) {
-                    let v = ((j >> level) - (j0 >> level)) as usize;
-                    gather.row(j, row, &lines[v], &lines[v + 1]);
-                }
-                gather.finish().into_iter().fold(most, f64::max)
-            })
-        })
-    });
-    group.finish();
-}
-
-criterion_group!(kernels, block_decode, errors, coverage, standings, questions);
+criterion_group!(kernels, block_decode, coverage, standings, questions);
 criterion_main!(kernels);
