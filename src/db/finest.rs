@@ -40,12 +40,14 @@ struct Finest<'a> {
     core_before: &'a (dyn Fn(Place) -> Result<Fill> + Sync),
 }
 
+/// A block of level 1 by its indices, packed; `None`: nothing is in it.
+type PackedBlock = ((i64, i64), Option<Vec<u8>>);
+
 /// What one square gives.
 struct Square {
     core: Vec<(Place, Block)>,
     facts: Vec<(Place, Fact)>,
-    /// Blocks of level 1, packed; `None`: nothing is in it.
-    above: Vec<((i64, i64), Option<Vec<u8>>)>,
+    above: Vec<PackedBlock>,
 }
 
 impl Finest<'_> {
@@ -129,7 +131,7 @@ impl Finest<'_> {
     }
 
     /// Blocks of level 1. What was read for them is kept for the window of posts.
-    fn above(&self, wanted: &CellRect) -> Result<Vec<((i64, i64), Option<Vec<u8>>)>> {
+    fn above(&self, wanted: &CellRect) -> Result<Vec<PackedBlock>> {
         let mut out = Vec::new();
         for bj in wanted.j0..wanted.j1 {
             for bi in wanted.i0..wanted.i1 {
