@@ -139,8 +139,8 @@ impl Clip {
     /// such disc lies [`Lies::Inside`].
     #[inline]
     pub fn borders(&self, center: [f64; 2], radius: f64) -> u64 {
-        let near = |l: &Line| !(l.depth(center) > radius + 3.0 * self.hair(center));
-        let borders = self.lines.iter().enumerate().map(|(k, l)| u64::from(near(l)) << k.min(63));
+        let clear = |l: &Line| l.depth(center) > radius + 3.0 * self.hair(center);
+        let borders = self.lines.iter().enumerate().map(|(k, l)| u64::from(!clear(l)) << k.min(63));
         if self.lines.is_empty() { u64::MAX } else { borders.fold(0, |a, b| a | b) }
     }
 
