@@ -79,10 +79,11 @@ impl Asked<'_> {
         self.clip.borders([x, y], radius)
     }
 
-    /// The first `n` records of a spot whose domains lie inside the region, and those that may meet it.
-    fn sort(&self, spot: &Spot, n: usize) -> (u64, u64) {
+    /// The first `n` records of a spot whose domains lie inside the region, those with their middle in it, and those that may meet
+    /// it.
+    fn sort(&self, spot: &Spot, n: usize) -> [u64; 3] {
         match self.borders(spot) {
-            0 => (first(n), first(n)),
+            0 => [first(n); 3],
             borders => {
                 let b = spot.shelf.boxes(n);
                 self.clip.sort(b.x, b.y, b.radius, borders)
@@ -181,9 +182,9 @@ impl Question for Even<'_> {
         self.asked.found.tested += u64::from(looked_at.count_ones());
         let mut taken = looked_at & high & (low | self.asked.floors(spot));
         if taken != 0 {
-            let (inside, met) = self.asked.sort(spot, spot.summary.all.count_ones() as usize);
+            let [inside, middle, met] = self.asked.sort(spot, spot.summary.all.count_ones() as usize);
             let mut across = taken & met & !inside;
-            for k in bits(across) {
+            for k in bits(across & !middle) {
                 if self.asked.part(spot, k).is_empty() {
                     across &= !(1 << k);
                 }
@@ -260,7 +261,7 @@ impl Question for Uneven<'_> {
         let f = self.asked.cut.foresee(&shelf.boxes(n), self.asked.kappa());
         let mut taken = first(n) & !(f.not_above_lo | f.not_below_hi & !floors);
         if taken != 0 {
-            let (inside, met) = self.asked.sort(spot, n);
+            let [inside, _, met] = self.asked.sort(spot, n);
             taken &= met;
             for k in bits(taken & !(inside & f.above_lo & (f.below_hi | floors))) {
                 if !self.needs(spot, k, floors >> k & 1 == 1, inside >> k & 1 == 1) {

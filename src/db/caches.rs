@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Pages kept decoded, by count. A patch page weighs about 10 KiB, a node some 80 bytes a record, 5 KiB at most.
+/// Pages kept decoded, by count. A patch page weighs about 10 KiB, a node some 100 bytes a record, 6.5 KiB at most.
 const PAGES: usize = 8192;
 const NODES: usize = SPOTS_MAX;
 const DIRECTORIES: usize = 1024;

@@ -234,7 +234,7 @@ fn area(s: &mut u64, s0: &Snapshot) -> Area {
 fn answers_are_those_of_the_plain_definition() {
     let (mut taken, mut asked, mut apart) = (0, 0, 0);
     for seed in 1..=6u64 {
-        let s = &mut (seed * 0x9e37_79b9_7f4a_7c15 | 1);
+        let s = &mut (seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
         let folder = tempfile::tempdir().unwrap();
         let options = Options {
             crs: Crs::from_epsg(32610).unwrap(),

@@ -139,8 +139,8 @@ impl Clip {
     /// such disc lies [`Lies::Inside`].
     #[inline]
     pub fn borders(&self, center: [f64; 2], radius: f64) -> u64 {
-        let near = |l: &Line| !(l.depth(center) > radius + 3.0 * self.hair(center));
-        let borders = self.lines.iter().enumerate().map(|(k, l)| u64::from(near(l)) << k.min(63));
+        let clear = |l: &Line| l.depth(center) > radius + 3.0 * self.hair(center);
+        let borders = self.lines.iter().enumerate().map(|(k, l)| u64::from(!clear(l)) << k.min(63));
         if self.lines.is_empty() { u64::MAX } else { borders.fold(0, |a, b| a | b) }
     }
 
@@ -149,12 +149,12 @@ impl Clip {
         1e-9 * (1.0 + self.reach + at[0].abs() + at[1].abs())
     }
 
-    /// Of 64 discs at most, within one that has these [`Clip::borders`]: which lie inside, and which may meet the region, as
-    /// [`Clip::lies`] tells of each.
-    pub fn sort(&self, x: &[f64], y: &[f64], radius: &[f64], borders: u64) -> (u64, u64) {
-        let (mut inside, mut met) = ([0; 64], [0; 64]);
-        sort(self, (x, y, radius), borders, &mut inside, &mut met);
-        if self.lines.is_empty() { (0, 0) } else { (pack(&inside), pack(&met)) }
+    /// Of 64 discs at most, within one that has these [`Clip::borders`]: which lie inside, which have their middle inside, and which may
+    /// meet the region, as [`Clip::lies`] tells of each.
+    pub fn sort(&self, x: &[f64], y: &[f64], radius: &[f64], borders: u64) -> [u64; 3] {
+        let mut out = [[0; 64]; 3];
+        sort(self, (x, y, radius), borders, &mut out);
+        if self.lines.is_empty() { [0; 3] } else { out.each_ref().map(pack) }
     }
 
     /// As [`Clip::part`], of a polygon within a disc: borders that the disc is clear of cut nothing off and are passed over.
@@ -213,8 +213,7 @@ fn sort(
     clip: &Clip,
     (x, y, radius): (&[f64], &[f64], &[f64]),
     borders: u64,
-    inside: &mut [u8; 64],
-    met: &mut [u8; 64],
+    [inside, middle, met]: &mut [[u8; 64]; 3],
 ) {
     let n = x.len().min(64);
     let (x, y, radius) = (&x[..n], &y[..n], &radius[..n]);
@@ -230,6 +229,7 @@ fn sort(
     for k in 0..n {
         let hair = clip.hair([x[k], y[k]]);
         inside[k] = u8::from(depth[k] > radius[k] + hair);
+        middle[k] = u8::from(depth[k] > hair);
         met[k] = u8::from(depth[k] >= -(radius[k] + hair));
     }
 }
@@ -284,7 +284,9 @@ mod tests {
             seen[lies as usize] += 1;
             let within = radius * (1.0 + random(s));
             let sorted = clip.sort(&[center[0]], &[center[1]], &[radius], clip.borders(center, within));
-            assert_eq!(sorted, (u64::from(lies == Lies::Inside), u64::from(lies != Lies::Outside)));
+            let wanted =
+                [lies == Lies::Inside, lies == Lies::Inside || lies == Lies::Middle, lies != Lies::Outside];
+            assert_eq!(sorted, wanted.map(u64::from));
             let within = clip.part_within(&quad, center, radius).to_vec();
             let part = clip.part(&quad);
             assert_eq!(within, part);
