@@ -40,7 +40,7 @@ fn helens(kind: Kind, policy: Policy) -> World {
     grids.iter().for_each(|g| {
         s.ingest(g);
     });
-    World::new(s.db.snapshot(None).unwrap(), &grids, false)
+    World::new(s.db.snapshot(None).unwrap(), &grids, false).at_home(s.folder)
 }
 
 #[test]

@@ -62,6 +62,9 @@ pub struct World {
     pub z: [f64; 2],
     /// Bicubic patches, weights of class C2.
     smooth: bool,
+    /// The database, kept for as long as its files may be read.
+    #[expect(dead_code, reason = "its drop removes the files")]
+    home: Option<tempfile::TempDir>,
 }
 
 impl Survey {
@@ -196,6 +199,11 @@ fn fade(smooth: bool, t: f64) -> f64 {
 }
 
 impl World {
+    /// The world with its database, which stays until the world goes.
+    pub fn at_home(self, home: tempfile::TempDir) -> World {
+        World { home: Some(home), ..self }
+    }
+
     /// `exact`: core' from the overlay of all lattices; else from cells that are sure, and from the printed
     /// kernels along borders.
     pub fn new(snapshot: Snapshot, grids: &[Grid], exact: bool) -> World {
@@ -269,7 +277,7 @@ impl World {
                 Survey { name: rows[k].name.clone(), number: number[k], posts, e, smooth, kept, cells, rim }
             })
             .collect();
-        World { snapshot, surveys, patches, z, smooth }
+        World { snapshot, surveys, patches, z, smooth, home: None }
     }
 
     pub fn range(&self) -> f64 {

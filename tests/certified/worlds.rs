@@ -82,7 +82,7 @@ pub fn random(r: &mut Random, count: usize, posts_max: usize, kind: Kind) -> Wor
     grids.iter().for_each(|g| {
         s.ingest(g);
     });
-    of(&s, &grids)
+    of(&s, &grids).at_home(s.folder)
 }
 
 /// The world of a database and the grids that are in it.
@@ -158,5 +158,5 @@ fn real(files: &[File], epsg: u32, policy: Policy, patch: Kind) -> Option<World>
         change(&db, Change::Ingest(ingest)).unwrap();
         grids.push(g);
     }
-    Some(World::new(db.snapshot(None).unwrap(), &grids, false))
+    Some(World::new(db.snapshot(None).unwrap(), &grids, false).at_home(folder))
 }

@@ -56,7 +56,7 @@ fn world_of(kind: Kind, grids: &[Grid], policy: Policy) -> World {
     grids.iter().for_each(|g| {
         s.ingest(g);
     });
-    World::new(s.db.snapshot(None).unwrap(), grids, false)
+    World::new(s.db.snapshot(None).unwrap(), grids, false).at_home(s.folder)
 }
 
 fn how(seams: Seams) -> How {
