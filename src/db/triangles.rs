@@ -10,7 +10,7 @@ use crate::height::crs::AxisUnit;
 use crate::height::frame::{CellRect, Frame};
 use crate::height::lod::cover::rects;
 use crate::height::lod::cut::Region;
-use crate::height::lod::{Cells, World};
+use crate::height::lod::{Cells, KERNEL, World};
 use crate::height::patch::Kind;
 use crate::height::surface::{Blend, Seams};
 use crate::mesh::{
@@ -265,6 +265,9 @@ pub fn triangulate_region(s: &Snapshot, query: &Query, progress: &dyn Fn(f64) ->
 /// A lattice has at most so many times the posts of the cells in it, for the surface to be made of it.
 const LATTICE_POSTS: usize = 4;
 
+/// Posts of a lattice that are asked for together.
+const LATTICE_AT_ONCE: usize = 1 << 18;
+
 /// The surface as the posts of one lattice, where it is bilinear in each of its cells: in a bilinear database, where one survey
 /// alone reaches the region, and no patch that is selected is off its posts. At the tolerance of a mesh that holds: it is at
 /// most the survey's accuracy, so every contributor's error is the accuracy itself (theorem T7), rounded upwards.
@@ -298,16 +301,29 @@ fn lattice(
     if s.near(wide).len() != 1 {
         return Ok(None);
     }
+    // Corrections are bilinear in half cells. One place around has its own, which looks for better surveys one place further.
+    if query.how.seams != Seams::Off {
+        let w = r.grow(2 * KERNEL);
+        let far = [(w.i0, w.j0), (w.i1, w.j0), (w.i0, w.j1), (w.i1, w.j1)].map(|(i, j)| place(i, j));
+        if s.near(crate::height::lod::cut::bounds(&far)).len() != 1 {
+            return Ok(None);
+        }
+    }
     let ground = s.surface(&Query { area: Area::Box(wide), ..query.clone() })?;
     let mut heights = vec![f64::NAN; cols * rows];
     for piece in pieces {
         let c = piece.cells;
-        for j in c.j0..=c.j1 {
-            let at: Vec<[f64; 2]> = (c.i0..=c.i1).map(|i| place(i, j)).collect();
-            let from = (j - r.j0) as usize * cols + (c.i0 - r.i0) as usize;
-            for (z, found) in heights[from..].iter_mut().zip(ground.heights(&at)?) {
-                *z = found.map_or(f64::NAN, |e| e.z);
+        let (width, mut j) = ((c.i1 - c.i0 + 1) as usize, c.j0);
+        while j <= c.j1 {
+            let end = (j + (LATTICE_AT_ONCE / width).max(1) as i64).min(c.j1 + 1);
+            let at: Vec<[f64; 2]> =
+                (j..end).flat_map(|j| (c.i0..=c.i1).map(move |i| (i, j))).map(|(i, j)| place(i, j)).collect();
+            let found = ground.planes(&at)?;
+            for (row, z) in (j..end).zip(found.z.chunks_exact(width)) {
+                let from = (row - r.j0) as usize * cols + (c.i0 - r.i0) as usize;
+                heights[from..from + width].copy_from_slice(z);
             }
+            j = end;
         }
     }
     let local = |p: [f64; 2]| [0, 1].map(|k| (p[k] - origin[k]) * scale[k]);

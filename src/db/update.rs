@@ -435,7 +435,7 @@ impl<'a> Draft<'a> {
             // away, one that went can give one back, and neither to a patch that is dormant.
             let came = !self.base.entries().contains_key(s);
             let went = !self.entries.contains_key(s);
-            let may_turn = live && !(came && !top.standing.floor) && !(went && top.standing.floor);
+            let may_turn = live && if top.standing.floor { !went } else { !came };
             let better = may_turn && gs.accuracy < fact.bot && fact.bot <= g.accuracy && *s != x;
             let levels = gs.level_max.max(self.base.entries().get(s).map_or(0, |e| e.geometry.level_max));
             for level in 0..=levels {

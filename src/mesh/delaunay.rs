@@ -173,7 +173,7 @@ fn plain_mesh(
         return Ok(None);
     }
     let laid = lay(flat, grid, (unit, bound), look)?;
-    if !(laid.error_m <= bound) {
+    if laid.error_m.is_nan() || laid.error_m > bound {
         return Ok(None);
     }
     let flat = laid.flat;

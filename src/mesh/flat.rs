@@ -306,9 +306,9 @@ impl Flat {
         let mut vertices = Vec::with_capacity(self.vertices.len());
         let mut new_triangle = vec![NONE; self.triangle_count()];
         let mut count = 0;
-        for t in 0..self.triangle_count() {
+        for (t, number) in new_triangle.iter_mut().enumerate() {
             if !self.is_dead(t as u32) {
-                new_triangle[t] = count;
+                *number = count;
                 count += 1;
             }
         }

@@ -173,6 +173,9 @@ impl Band<'_> {
         let Some(e) = found else {
             (self.z[k], self.error_m[k], self.accuracy_m[k], self.marks[k]) =
                 (f64::NAN, f64::NAN, f32::NAN, 0);
+            if let Some(c) = self.correction_m.get_mut(k) {
+                *c = 0.0;
+            }
             return;
         };
         self.z[k] = e.z;

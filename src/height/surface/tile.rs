@@ -470,7 +470,8 @@ mod tests {
                 });
                 along.push([a, b]);
             }
-            let work = |f: &dyn Fn(&mut Line, &mut [f64], &mut [f64]) -> bool| {
+            type Row<'a> = &'a dyn Fn(&mut Line, &mut [f64], &mut [f64]) -> bool;
+            let work = |f: Row| {
                 let (mut z, mut error) = (vec![0.0; count], vec![0.0; count]);
                 let all = f(&mut Line::default(), &mut z, &mut error);
                 let bits = |v: Vec<f64>| v.into_iter().map(f64::to_bits).collect::<Vec<_>>();

@@ -119,7 +119,15 @@ impl Node {
             r.u16()?;
             let place = Place { level, i: r.i32()?, j: r.i32()? };
             let id = PatchId(r.take(16)?.try_into().expect("16 bytes were taken"));
-            node.records.push(Record { top, bot, floor, survey, place, id });
+            if top.is_nan() || bot.is_nan() {
+                return Err(r.bad(format!("a box from {bot} m to {top} m")));
+            }
+            let record = Record { top, bot, floor, survey, place, id };
+            // Whoever searches a node relies on the order of its records.
+            if node.records.last().is_some_and(|last| last.order(&record) != Ordering::Less) {
+                return Err(r.bad(format!("record {id:?} is out of order")));
+            }
+            node.records.push(record);
         }
         r.end()?;
         Ok(node)
