@@ -51,7 +51,9 @@ impl Draft<'_> {
                 live += records.len();
                 out.come.extend(records);
                 let tops = Arc::new(tops);
-                out.tops.insert((survey, *at), Some(tops.clone()));
+                if !tops.is_empty() {
+                    out.tops.insert((survey, *at), Some(tops.clone()));
+                }
                 self.lay(survey, *at, page.clone(), tops);
             }
         }

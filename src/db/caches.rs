@@ -1,6 +1,6 @@
 //! Decoded pages, kept for as long as a database is open and shared by its versions.
 //!
-//! Pages never change, and a [`PageRef`] names one for ever (numbers of files are never given out again). So what a
+//! Pages never change, and a [`PageRef`] names one for ever (no number of a file that a version named is given out again). So what a
 //! commit did not touch is as warm in the new version as it was in the old one. [`Caches::tidy`] lets go of what is no longer in
 //! use.
 
@@ -68,7 +68,7 @@ impl Caches {
         })
     }
 
-    /// Drops what nobody asked for lately; called whenever a version is opened. Of the pages that commits replace none
+    /// Drops what nobody asked for lately; called whenever a version is opened or a commit begins. Of the pages that commits replace none
     /// would be asked for again, and they would fill the caches in the end.
     pub fn tidy(&self) {
         {
@@ -88,7 +88,7 @@ impl Caches {
         self.payloads.sweep();
     }
 
-    /// A node of a tree, in columns. Numbers of surveys are never given twice, and a survey keeps its frame: what follows from
+    /// A node of a tree, in columns. No number of a survey that a version held is given again, and a survey keeps its frame: what follows from
     /// records holds in every version that has the page.
     pub fn node(&self, at: &PageRef, read: impl FnOnce() -> Result<Shelf>) -> Result<Arc<Shelf>> {
         self.nodes.or_read(*at, || read().map(Arc::new))

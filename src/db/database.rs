@@ -8,6 +8,7 @@
 use super::awaiting::AWAITING;
 use super::caches::Caches;
 use super::view::View;
+use super::writer::{Writer, WriterHome};
 use crate::base::date::Date;
 use crate::base::{Error, Result};
 use crate::height::crs::{AxisUnit, Crs};
@@ -19,9 +20,9 @@ use crate::store::disk::{Disk, RealDisk, sync_directory};
 use crate::store::lock::Lease;
 use crate::store::segment::Files;
 use std::collections::BTreeMap;
-use std::ops::{Deref, DerefMut, RangeBounds};
+use std::ops::RangeBounds;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// The oldest and the newest version of the whole format that this program opens. New databases are of the newest.
 pub const FORMAT_OLDEST: u32 = 1;
@@ -76,34 +77,8 @@ pub struct Db {
     kind: Kind,
     unit: LatticeUnit,
     caches: Arc<Caches>,
-    /// The catalog as the last commit left it: opened once, closed (and its log emptied) with the database.
-    writer: Arc<Mutex<Option<Box<dyn Catalog>>>>,
-}
-
-/// The catalog in the hands of a writer; it goes back to the database afterwards.
-pub(super) struct Writer {
-    catalog: Option<Box<dyn Catalog>>,
-    home: Arc<Mutex<Option<Box<dyn Catalog>>>>,
-}
-
-impl Deref for Writer {
-    type Target = dyn Catalog;
-
-    fn deref(&self) -> &Self::Target {
-        &**self.catalog.as_ref().expect("it goes back when it is dropped")
-    }
-}
-
-impl DerefMut for Writer {
-    fn deref_mut(&mut self) -> &mut Self::Target {
-        &mut **self.catalog.as_mut().expect("it goes back when it is dropped")
-    }
-}
-
-impl Drop for Writer {
-    fn drop(&mut self) {
-        *self.home.lock().unwrap_or_else(PoisonError::into_inner) = self.catalog.take();
-    }
+    /// The catalog as the last commit left it.
+    writer: WriterHome,
 }
 
 /// The constants that every database of this format and kind of patches has; a database with others is of another
@@ -333,7 +308,7 @@ impl Db {
             kind,
             unit: LatticeUnit { exponent },
             caches: Caches::new(),
-            writer: Arc::default(),
+            writer: WriterHome::default(),
         })
     }
 
@@ -424,12 +399,7 @@ impl Db {
     }
     /// Only under the writer lock.
     pub(super) fn catalog_for_writing(&self) -> Result<Writer> {
-        let kept = self.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let catalog = match kept {
-            Some(catalog) => catalog,
-            None => (self.catalog)(true)?,
-        };
-        Ok(Writer { catalog: Some(catalog), home: self.writer.clone() })
+        self.writer.take(&|| (self.catalog)(true))
     }
     pub(super) fn caches(&self) -> Arc<Caches> {
         self.caches.clone()

@@ -58,6 +58,7 @@ mod update;
 mod uploads;
 mod view;
 mod walls;
+mod writer;
 mod writing;
 
 pub use awaiting::Awaiting;

@@ -1,8 +1,9 @@
 //! The writer's side of a database: the lock, what a dead writer left, and making a version visible.
 
-use super::database::{Db, Writer};
+use super::database::Db;
 use super::settling::{Settling, SettlingSegment, name_all};
 use super::view::View;
+use super::writer::Writer;
 use crate::base::{Error, Result};
 use crate::store::catalog::{Commit, Counters, NamedFile, Version};
 use crate::store::lock::{WriterLock, leased};
@@ -48,6 +49,7 @@ impl Db {
             Some(v) => catalog.files(v.number)?,
             None => Vec::new(),
         };
+        self.caches().tidy();
         // With the caches of the database: a commit reads what was asked for a moment ago, and what it reads will be.
         let view = View::sharing(
             Files::new(self.shared_disk(), files.iter().map(|f| (f.number, f.length))),

@@ -228,6 +228,9 @@ impl Pages for SegmentWriter {
         }
         let name = || file_name(at.file);
         let written = self.offset - self.gathered.len() as u64;
+        if at.offset < written && at.offset + u64::from(at.len) > written {
+            return Err(Error::corrupt(name(), at.place(), "is no page of those that were written"));
+        }
         if let Some(from) = at.offset.checked_sub(written) {
             let page = &self.gathered[from as usize..][..at.len as usize];
             verify(name, at, page)?;

@@ -69,6 +69,18 @@ fn a_damaged_catalog_is_kept_and_replaced() {
 }
 
 #[test]
+fn a_process_that_has_committed_finds_the_catalog_that_was_made_again() {
+    let (s, _) = two_tiles();
+    let path = s.path();
+    std::fs::write(path.join("catalog.sqlite"), b"spoiled").unwrap();
+    assert_eq!(terraquilt::db::rebuild(&path, &mut || ()).unwrap().versions, [1, 2]);
+    let made = change(&s.db, Change::Ingest(grid("new", 5.0, 40, 2, 6).ingest())).unwrap();
+    assert_eq!(made.version, 3);
+    assert_eq!(numbers(&Db::open(&path).unwrap()), [1, 2, 3]);
+    verify(&s.db);
+}
+
+#[test]
 fn a_rebuild_says_what_it_cannot_have_and_deletes_nothing() {
     let make = || {
         let (s, _) = two_tiles();

@@ -278,6 +278,9 @@ impl Catalog for SteppedCatalog {
     fn prune(&mut self, versions: &[u64]) -> Result<()> {
         self.transaction("prune", |c| c.prune(versions))
     }
+    fn is_current(&self) -> Result<bool> {
+        self.inner.is_current()
+    }
     fn check(&self) -> Result<Vec<String>> {
         self.inner.check()
     }

@@ -83,6 +83,11 @@ pub trait Catalog: Send {
     fn commit(&mut self, commit: &Commit) -> Result<()>;
     /// Forgets versions, and files that only they name. One transaction.
     fn prune(&mut self, versions: &[u64]) -> Result<()>;
+    /// Whether this is still the catalog that is found in its place: not moved away, not replaced.
+    ///
+    /// # Errors
+    /// If a newer program has changed its schema.
+    fn is_current(&self) -> Result<bool>;
     /// Checks the catalog's own structure.
     fn check(&self) -> Result<Vec<String>>;
 }

@@ -6,7 +6,8 @@ use crate::base::{Error, Result};
 use crate::store::segment::PageRef;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, params};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 mod embedded {
@@ -24,6 +25,15 @@ impl From<rusqlite::Error> for Error {
 
 pub struct Sqlite {
     db: Connection,
+    path: PathBuf,
+    /// Device and number of the file that was opened.
+    file: (u64, u64),
+}
+
+/// Device and number of a file: another file under the same name has others.
+fn identity(path: &Path) -> Result<(u64, u64)> {
+    let found = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
+    Ok((found.dev(), found.ino()))
 }
 
 impl Sqlite {
@@ -32,7 +42,7 @@ impl Sqlite {
         let mut db = Connection::open(path)?;
         configure(&db)?;
         migrate(&mut db)?;
-        Ok(Sqlite { db })
+        Ok(Sqlite { db, path: path.to_path_buf(), file: identity(path)? })
     }
 
     /// Opens a catalog for writing.
@@ -42,7 +52,7 @@ impl Sqlite {
         configure(&db)?;
         refuse_newer(&db)?;
         migrate(&mut db)?;
-        Ok(Sqlite { db })
+        Ok(Sqlite { db, path: path.to_path_buf(), file: identity(path)? })
     }
 
     /// Makes the catalog hold this and nothing else. One transaction.
@@ -106,7 +116,7 @@ impl Sqlite {
             }
         };
         refuse_newer(&db)?;
-        Ok(Sqlite { db })
+        Ok(Sqlite { db, path: path.to_path_buf(), file: identity(path)? })
     }
 }
 
@@ -289,6 +299,14 @@ impl Catalog for Sqlite {
         tx.execute("DELETE FROM file WHERE number NOT IN (SELECT file FROM version_file)", [])?;
         tx.commit()?;
         Ok(())
+    }
+
+    fn is_current(&self) -> Result<bool> {
+        if identity(&self.path).ok() != Some(self.file) {
+            return Ok(false);
+        }
+        refuse_newer(&self.db)?;
+        Ok(true)
     }
 
     fn check(&self) -> Result<Vec<String>> {
