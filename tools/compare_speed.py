@@ -8,8 +8,7 @@
 
 GRID is the 16385 x 16385 int16 grid of make_scale_dem.py. Rival and ours run alternately, `--rounds` times, and the medians are
 compared; work that has no rival is counted or timed in process on one thread by `examples/speed`. Each row names what was
-measured; docs/performance.md says how and what limits it. A database made for the run lies beside GRID and is removed (--keep
-leaves it). Takes about ten minutes and 1.5 GB of disk.
+measured; docs/performance.md says how and what limits it. A database made for the run lies beside GRID and is removed. Takes about ten minutes and 1.5 GB of disk.
 """
 import argparse, json, os, shutil, statistics, subprocess, sys, tempfile, time
 
@@ -49,7 +48,7 @@ def row(number, what, must, aim, value, shown, better="less"):
     sign = "<=" if better == "less" else ">="
     line = {"row": number, "what": what, "measured": shown, "value": value, "must": f"{sign} {must:g}", "aim": f"{sign} {aim:g}", "verdict": verdict}
     ROWS.append(line)
-    print(f"{number:>4}  {what:58}  {shown:44}  {line['must']:>10}  {line['aim']:>10}  {verdict}", flush=True)
+    print(f"{str(number):>4}  {what:58}  {shown:44}  {line['must']:>10}  {line['aim']:>10}  {verdict}", flush=True)
 
 
 def middle(values):
@@ -179,7 +178,46 @@ def kernel_rows(a, db):
     row(17, "errors of all levels at every post, one core, M posts/s", 100, 200, p, f"{p:.0f} M posts/s", "more")
 
 
+def mesh_rows(a, work):
+    """Row 15: the crop of 1025 x 1025 posts, as a mesh within 5 m at every post, beside pydelatin on the same posts."""
+    import numpy as np, rasterio
+    from rasterio.transform import from_origin
+    from rasterio.windows import Window
+    from compare_delatin import delatin_within, error_at_posts, read_glb
+
+    with rasterio.open(a.sierra) as f:
+        posts = f.read(1, window=Window(1500, 600, 1025, 1025))
+    crop, db, glb = (os.path.join(work, n) for n in ("crop.tif", "crop", "crop.glb"))
+    step, east, north = 90.0, 300000.0, 4200000.0
+    with rasterio.open(crop, "w", driver="GTiff", width=1025, height=1025, count=1, dtype=posts.dtype, crs="EPSG:32611", transform=from_origin(east, north, step, step)) as out:
+        out.write(posts, 1)
+    run([a.tq, "init", db, "--crs", "EPSG:32611"])
+    run([a.tq, "ingest", db, crop, "--accuracy", "0"])
+    run([a.tq, "export", db, glb, "--error", "5"])
+    vertices, triangles, extras = read_glb(glb)
+    o = extras["origin"]
+    grid = np.stack([(vertices[:, 0] + o[0] - east - step / 2) / step, (north - step / 2 - vertices[:, 1] - o[1]) / step, vertices[:, 2] + o[2]], 1)
+    error, missing = error_at_posts(grid, triangles, posts.astype(np.float32))
+    ours, theirs = [], []
+    for _ in range(a.rounds):
+        ours.append(json.loads(run([a.speed, "mesh", db, "5", "1"])[2])["seconds"]["median"])
+        mesh, _, true, seconds = delatin_within(posts.astype(np.float32), 5.0)
+        theirs.append(seconds)
+    one = json.loads(run([a.speed, "mesh", db, "5", "1"], threads=1)[2])["seconds"]["median"]
+    share = len(triangles) / len(mesh.triangles)
+    row("15a", "mesh within 5 m, triangles / pydelatin's", 1.0, 0.85, share, f"{share:.3f} x  ({len(triangles)} / {len(mesh.triangles)}; at the posts {error:.4f} m, {missing} missed)")
+    ratio = middle([o / t for o, t in zip(ours, theirs)])
+    row("15b", "the same, time / pydelatin's", 1.0, 0.33, ratio, f"{ratio:.2f} x  ({spread(ours, 's', 2)} on all cores, {one:.2f} on one / {spread(theirs, 's', 2)})")
+
+
+def growth_rows(a, db):
+    """Row 16: tables of counted work and milliseconds."""
+    print("  16  what a query, an arrival and a removal cost as the database grows")
+    print(run([example(a, "growth"), "--counts", a.counts, "--db", db])[2])
+
+
 PARTS = {
+    (16,): growth_rows,
     (7, 8, 9, 10, 18): query_rows,
     (11, 12, 13): evaluation_rows,
     (14, 17): kernel_rows,
@@ -191,6 +229,7 @@ def main():
     ap.add_argument("grid"); ap.add_argument("--crs", default="EPSG:32611")
     ap.add_argument("--build", default="target/release"); ap.add_argument("--rounds", type=int, default=3)
     ap.add_argument("--sierra", help="SRTM grid of the Sierra Nevada for row 15 (sierra_srtm3.tif of the shared data)")
+    ap.add_argument("--counts", default="1,10,100", help="surveys over one place, for row 16")
     ap.add_argument("--only", help="rows, comma separated"); ap.add_argument("--json", help="the table as JSON, too")
     ap.add_argument("--db", help="a database of GRID, instead of one made in the run (rows 1 to 3 are left out)")
     a = ap.parse_args()
@@ -204,6 +243,10 @@ def main():
         db = a.db or ingest_rows(a, work)
         if wanted & {4, 5, 6}:
             arrival_rows(a, work, db)
+        if 15 in wanted and a.sierra:
+            mesh_rows(a, work)
+        elif 15 in wanted:
+            print("  15  left out: give --sierra")
         for numbers, part in PARTS.items():
             if wanted & set(numbers):
                 part(a, db)

@@ -3,6 +3,7 @@
 
 mod arrival;
 mod decode;
+mod mesh;
 mod pyramid;
 
 use terraquilt::base::Result;
@@ -10,6 +11,7 @@ use terraquilt::base::Result;
 const USAGE: &str = "usage: speed PART ...
   arrival DB FILE [ROUNDS]   a survey comes and goes ROUNDS times (5): milliseconds from the call to a durable commit that a query sees
   decode DB                  every sample block of the first survey is decoded, from the mapped files, on one thread
+  mesh DB ERROR [ROUNDS]     a mesh of everything within ERROR metres, from the selection to triangles in memory (ROUNDS: 3)
   pyramid DB                 errors of all levels over posts of the first survey, on one thread";
 
 fn main() -> Result<()> {
@@ -19,6 +21,10 @@ fn main() -> Result<()> {
         ["arrival", db, file] => arrival::run(db, file, 5),
         ["arrival", db, file, rounds] => arrival::run(db, file, rounds.parse().expect(USAGE)),
         ["decode", db] => decode::run(db),
+        ["mesh", db, error] => mesh::run(db, error.parse().expect(USAGE), 3),
+        ["mesh", db, error, rounds] => {
+            mesh::run(db, error.parse().expect(USAGE), rounds.parse().expect(USAGE))
+        }
         ["pyramid", db] => pyramid::run(db),
         _ => {
             eprintln!("{USAGE}");

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 use terraquilt::base::{Error, Result};
 use terraquilt::db::{Db, read_tile};
-use terraquilt::height::frame::CellRect;
+use terraquilt::height::block::BLOCK;
 use terraquilt::height::lod::places_touching_posts;
 use terraquilt::height::patch::Residuals;
 
@@ -58,27 +58,42 @@ pub fn run(db: &str) -> Result<Value> {
     }))
 }
 
-/// Seconds for the errors of one level over all posts.
+/// Seconds for the errors of one level over all posts, block by block as an ingest takes them. Vertices are at hand.
 fn errors(posts: &[f64], cols: usize, rows: usize, level: u8) -> f64 {
-    let places = places_touching_posts(level, 0, 0, cols as i64 - 1, rows as i64 - 1);
-    let places = CellRect::new(places.i0, places.j0, places.i1, places.j1);
-    let line = |first: i64, count: usize, row: i64| -> Vec<f64> {
-        let j = ((row << level).max(0) as usize).min(rows - 1);
-        (0..count as i64)
-            .map(|k| posts[j * cols + (((first + k) << level).max(0) as usize).min(cols - 1)])
-            .collect()
-    };
+    let vertices = Vertices::new(posts, cols, rows, level);
     let started = Instant::now();
-    let mut gather = Residuals::new(level, places, 0, cols);
-    let (first, count) = gather.vertices();
-    let (mut below, mut above) = (line(first, count, 0), line(first, count, 1));
-    for j in 0..rows {
-        let v = j as i64 >> level;
-        if j > 0 && j % (1 << level) == 0 {
-            below = std::mem::replace(&mut above, line(first, count, v + 1));
+    for j0 in (0..rows).step_by(BLOCK as usize) {
+        for i0 in (0..cols).step_by(BLOCK as usize) {
+            let [i1, j1] = [(i0 + BLOCK as usize).min(cols), (j0 + BLOCK as usize).min(rows)];
+            let places = places_touching_posts(level, i0 as i64, j0 as i64, i1 as i64 - 1, j1 as i64 - 1);
+            let mut gather = Residuals::new(level, places, i0 as i64, i1 - i0);
+            let (first, count) = gather.vertices();
+            for j in j0..j1 {
+                let line = |v: usize| &vertices.z[v * vertices.cols + first as usize..][..count];
+                gather.row(
+                    j as i64,
+                    &posts[j * cols + i0..j * cols + i1],
+                    line(j >> level),
+                    line((j >> level) + 1),
+                );
+            }
+            black_box(gather.finish());
         }
-        gather.row(j as i64, &posts[j * cols..(j + 1) * cols], &below, &above);
     }
-    black_box(gather.finish());
     started.elapsed().as_secs_f64()
+}
+
+/// Every so many-th post of every so many-th row, the last ones repeated at the end.
+struct Vertices {
+    cols: usize,
+    z: Vec<f64>,
+}
+
+impl Vertices {
+    fn new(posts: &[f64], cols: usize, rows: usize, level: u8) -> Vertices {
+        let (wide, high) = ((cols >> level) + 2, (rows >> level) + 2);
+        let at = |v: usize, n: usize| (v << level).min(n - 1);
+        let z = (0..high).flat_map(|j| (0..wide).map(move |i| posts[at(j, rows) * cols + at(i, cols)]));
+        Vertices { cols: wide, z: z.collect() }
+    }
 }
