@@ -222,6 +222,33 @@ fn foresee(c: &Camera, boxes: &Boxes, kappa: f64, out: &mut [[u8; 64]; 4]) {
     }
 }
 
+/// [`Cut::foresee_middles`] in columns of 0 and 1: the bounds over a polygon hold between them the tolerance at each of its points.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
+fn foresee_middles(c: &Camera, boxes: &Boxes, kappa: f64, [above_lo, below_hi]: &mut [[u8; 64]; 2]) {
+    let (s, depth_of_height) = (c.pitch_sin.abs(), c.h * c.pitch_sin);
+    let eye = 1.0 + c.eye[0].abs() + c.eye[1].abs() + c.h.abs();
+    let tolerance = |w: f64, rho: f64| {
+        let (w, rho) = (w.max(c.near), rho.max(0.0));
+        Tolerance(c.pixels * w * w, c.focal * rho + c.pixels * s * w)
+    };
+    let n = boxes.x.len().min(64);
+    let (x, y, radius) = (&boxes.x[..n], &boxes.y[..n], &boxes.radius[..n]);
+    let (top, bot) = (&boxes.top[..n], &boxes.bot[..n]);
+    for k in 0..n {
+        let hair = 1e-9 * (eye + x[k].abs() + y[k].abs()) + 1e-7 * radius[k];
+        let (dx, dy) = (x[k] - c.eye[0], y[k] - c.eye[1]);
+        let ahead = dx * c.forward[0] + dy * c.forward[1];
+        let aside = s * (dx * c.forward[1] - dy * c.forward[0]);
+        let (w, rho) = (ahead * c.pitch_cos + depth_of_height, (ahead * ahead + aside * aside).sqrt());
+        let slack = hair + 1e-7 * rho;
+        let lo_most = tolerance(w + hair, rho - slack);
+        let hi_least = tolerance(w - hair, rho + slack);
+        let (top, bot) = (kappa * f64::from(top[k]), f64::from(bot[k]));
+        above_lo[k] = u8::from(lo_most.0 * (1.0 + 1e-9) < top * lo_most.1);
+        below_hi[k] = u8::from(bot * hi_least.1 <= hi_least.0 * (1.0 - 1e-9));
+    }
+}
+
 impl Cut for Camera {
     fn bounds(&self, polygon: &[[f64; 2]]) -> (f64, f64) {
         // Most polygons are whole cells or domains: four corners, one after the other without a loop.
@@ -236,6 +263,13 @@ impl Cut for Camera {
         foresee(self, boxes, kappa, &mut out);
         let [above_lo, below_hi, not_above_lo, not_below_hi] = out.each_ref().map(pack);
         Foreseen { above_lo, below_hi, not_above_lo, not_below_hi }
+    }
+
+    fn foresee_middles(&self, boxes: &Boxes, kappa: f64) -> Foreseen {
+        let mut out = [[0; 64]; 2];
+        foresee_middles(self, boxes, kappa, &mut out);
+        let [above_lo, below_hi] = out.each_ref().map(pack);
+        Foreseen { above_lo, below_hi, ..Foreseen::default() }
     }
 
     fn at(&self, p: [f64; 2]) -> f64 {
@@ -424,7 +458,7 @@ mod tests {
     #[test]
     fn what_is_foreseen_is_what_bounds_say() {
         let s = &mut 0xface;
-        let mut certain = [0; 4];
+        let mut certain = [0; 6];
         for n in 0..4000 {
             let far = 10f64.powf(1.0 + 4.0 * random(s));
             let place = if n % 4 == 0 { [0.0; 2] } else { [500_000.0, 4_000_000.0] };
@@ -468,6 +502,7 @@ mod tests {
                 arms: arms.each_ref().map(|a| &a[..]),
             };
             let f = c.foresee(&boxes, 1.1);
+            let middles = c.foresee_middles(&boxes, 1.1);
             for (k, domain) in domains.iter().enumerate() {
                 let (top, bot) = (1.1 * f64::from(heights[0][k]), f64::from(heights[1][k]));
                 let told = [f.above_lo, f.below_hi, f.not_above_lo, f.not_below_hi].map(|m| m >> k & 1 == 1);
@@ -475,6 +510,19 @@ mod tests {
                 let (lo, hi) = c.bounds(domain);
                 assert!(!told[0] || lo < top, "{c:?} {domain:?}");
                 assert!(!told[1] || bot <= hi, "{c:?} {domain:?}");
+                // Parts that shrink to the middle.
+                let m = [columns[0][k], columns[1][k]];
+                let by = random(s).powi(4);
+                let around = domain.map(|p| [0, 1].map(|k| m[k] + by * random(s) * (p[k] - m[k])));
+                let (lo, hi) = c.bounds(&Region::hull(around.to_vec()).polygon);
+                for (n, (told, holds)) in
+                    [(middles.above_lo, lo < top), (middles.below_hi, bot <= hi)].into_iter().enumerate()
+                {
+                    let told = told >> k & 1 == 1;
+                    certain[4 + n] += usize::from(told);
+                    assert!(!told || holds, "{c:?} {around:?}");
+                }
+                let (lo, hi) = c.bounds(domain);
                 let part = Region::hull((0..5).map(|_| near(s, far)).collect()).clip(domain);
                 for (lo, hi) in [(lo, hi)].into_iter().chain((!part.is_empty()).then(|| c.bounds(&part))) {
                     assert!(!told[2] || lo >= top, "{c:?} {domain:?}");

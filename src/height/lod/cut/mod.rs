@@ -27,6 +27,11 @@ pub trait Cut: Sync {
     fn foresee(&self, _boxes: &Boxes, _kappa: f64) -> Foreseen {
         Foreseen::default()
     }
+    /// The same of parts of domains: `above_lo` and `below_hi` hold for the bounds over every part that holds the middle, however
+    /// little else. The other two are not told.
+    fn foresee_middles(&self, _boxes: &Boxes, _kappa: f64) -> Foreseen {
+        Foreseen::default()
+    }
     /// The tolerance at a point.
     fn at(&self, p: [f64; 2]) -> f64;
     /// Its derivatives by x and y there.
