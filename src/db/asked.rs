@@ -11,7 +11,7 @@ use super::found::Found;
 use crate::base::Result;
 use crate::base::lattice::{Bounds, Quad};
 use crate::height::lod::PatchId;
-use crate::height::lod::cut::{Boxes, Clip, Cut, Lies};
+use crate::height::lod::cut::{Boxes, Clip, Cut, LOT, Lies};
 use crate::height::surface::KAPPA;
 use crate::store::quadtree::{Below, Domains, Question, Range, Record, Spot, bits, first};
 use std::collections::HashSet;
@@ -218,9 +218,6 @@ impl Uneven<'_> {
     }
 }
 
-/// Cells in a lot: columns are of whole lots, of which only the first four are asked about here.
-const CELLS: usize = 8;
-
 impl Question for Uneven<'_> {
     fn range(&mut self, cell: &Bounds, above: Option<&Range>, below: Option<&Below>) -> Option<Range> {
         let (middle, radius) = self.asked.disc(cell);
@@ -247,8 +244,8 @@ impl Question for Uneven<'_> {
         above: &Range,
         below: &[Option<Below>; 4],
     ) -> [Option<Range>; 4] {
-        let (mut x, mut y) = ([0.0; CELLS], [0.0; CELLS]);
-        let (mut top, mut bot) = ([0.0; CELLS], [0.0; CELLS]);
+        let (mut x, mut y) = ([0.0; LOT], [0.0; LOT]);
+        let (mut top, mut bot) = ([0.0; LOT], [0.0; LOT]);
         for (k, (cell, below)) in cells.iter().zip(below).enumerate() {
             ([x[k], y[k]], _) = self.asked.disc(cell);
             (top[k], bot[k]) = below.map_or((0.0, 0.0), |b| (b.top_max, b.bot_min));
@@ -256,11 +253,11 @@ impl Question for Uneven<'_> {
         let (_, radius) = self.asked.disc(&cells[0]);
         let first = corners(&cells[0].quad(), self.asked.size);
         let arms = [first[0][0] - x[0], first[0][1] - y[0], first[1][0] - x[0], first[1][1] - y[0]];
-        let arms = arms.map(|v| [v as f32; CELLS]);
+        let arms = arms.map(|v| [v as f32; LOT]);
         let boxes = Boxes {
             x: &x,
             y: &y,
-            radius: &[radius; CELLS],
+            radius: &[radius; LOT],
             top: &top,
             bot: &bot,
             arms: arms.each_ref().map(|v| &v[..]),
