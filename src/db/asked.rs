@@ -11,7 +11,7 @@ use super::found::Found;
 use crate::base::Result;
 use crate::base::lattice::{Bounds, Quad};
 use crate::height::lod::PatchId;
-use crate::height::lod::cut::{Boxes, Clip, Cut, Lies};
+use crate::height::lod::cut::{Boxes, Clip, Cut, LOT, Lies};
 use crate::height::surface::KAPPA;
 use crate::store::quadtree::{Below, Domains, Question, Range, Record, Spot, bits, first};
 use std::collections::HashSet;
@@ -220,50 +220,74 @@ impl Uneven<'_> {
 
 impl Question for Uneven<'_> {
     fn range(&mut self, cell: &Bounds, above: Option<&Range>, below: Option<&Below>) -> Option<Range> {
-        let kappa = self.asked.kappa();
-        let ([x, y], radius) = self.asked.disc(cell);
+        let (middle, radius) = self.asked.disc(cell);
         let inside = above.is_some_and(|a| a.inside);
-        let lies = if inside { Lies::Inside } else { self.asked.clip.lies([x, y], radius) };
+        let lies = if inside { Lies::Inside } else { self.asked.clip.lies(middle, radius) };
         if lies == Lies::Outside {
             return None;
         }
         let quad = corners(&cell.quad(), self.asked.size);
-        if let Some(b) = below {
-            let arms = [quad[0][0] - x, quad[0][1] - y, quad[1][0] - x, quad[1][1] - y].map(|v| [v as f32]);
-            let whole = Boxes {
-                x: &[x],
-                y: &[y],
-                radius: &[radius],
-                top: &[b.top_max],
-                bot: &[b.bot_min],
-                arms: arms.each_ref().map(|v| &v[..]),
-            };
-            let f = self.asked.cut.foresee(&whole, kappa);
-            if f.not_above_lo == 1 || f.not_below_hi == 1 && !b.floor {
-                return None;
-            }
-        }
         let part =
-            if lies == Lies::Inside { &quad } else { self.asked.clip.part_within(&quad, [x, y], radius) };
+            if lies == Lies::Inside { &quad } else { self.asked.clip.part_within(&quad, middle, radius) };
         if part.is_empty() {
             return None;
         }
         let (lo, hi) = self.asked.cut.bounds(part);
-        let range = Range { lo: lo / kappa, hi, inside: lies == Lies::Inside };
+        let range = Range { lo: lo / self.asked.kappa(), hi, inside: lies == Lies::Inside };
         below.is_none_or(|b| range.meets(b)).then_some(range)
+    }
+
+    /// Boxes around what lies below tell of most cells at once that they need not be asked about.
+    fn ranges(
+        &mut self,
+        cells: &[Bounds; 4],
+        above: &Range,
+        below: &[Option<Below>; 4],
+    ) -> [Option<Range>; 4] {
+        let (mut x, mut y) = ([0.0; LOT], [0.0; LOT]);
+        let (mut top, mut bot) = ([0.0; LOT], [0.0; LOT]);
+        for (k, (cell, below)) in cells.iter().zip(below).enumerate() {
+            ([x[k], y[k]], _) = self.asked.disc(cell);
+            (top[k], bot[k]) = below.map_or((0.0, 0.0), |b| (b.top_max, b.bot_min));
+        }
+        let (_, radius) = self.asked.disc(&cells[0]);
+        let first = corners(&cells[0].quad(), self.asked.size);
+        let arms = [first[0][0] - x[0], first[0][1] - y[0], first[1][0] - x[0], first[1][1] - y[0]];
+        let arms = arms.map(|v| [v as f32; LOT]);
+        let boxes = Boxes {
+            x: &x,
+            y: &y,
+            radius: &[radius; LOT],
+            top: &top,
+            bot: &bot,
+            arms: arms.each_ref().map(|v| &v[..]),
+        };
+        let f = self.asked.cut.foresee(&boxes, self.asked.kappa());
+        std::array::from_fn(|k| {
+            let b = below[k].as_ref()?;
+            let needless = f.not_above_lo >> k & 1 == 1 || f.not_below_hi >> k & 1 == 1 && !b.floor;
+            if needless { None } else { self.range(&cells[k], Some(above), Some(b)) }
+        })
     }
 
     fn visit(&mut self, spot: &Spot, number: Option<u32>, range: &Range) -> Result<bool> {
         let shelf = &*spot.shelf;
         let n = shelf.tops().partition_point(|t| f64::from(*t) > range.lo);
         self.asked.found.tested += n as u64;
-        let floors = self.asked.floors(spot);
-        let f = self.asked.cut.foresee(&shelf.boxes(n), self.asked.kappa());
+        let (floors, kappa) = (self.asked.floors(spot), self.asked.kappa());
+        let boxes = shelf.boxes(n);
+        let f = self.asked.cut.foresee(&boxes, kappa);
         let mut taken = first(n) & !(f.not_above_lo | f.not_below_hi & !floors);
         if taken != 0 {
-            let [inside, _, met] = self.asked.sort(spot, n);
+            let [inside, middle, met] = self.asked.sort(spot, n);
             taken &= met;
-            for k in bits(taken & !(inside & f.above_lo & (f.below_hi | floors))) {
+            let mut unclear = taken & !(inside & f.above_lo & (f.below_hi | floors));
+            // Of a domain across a border the part in the region holds the middle, or is to be found.
+            if unclear & middle & !inside != 0 {
+                let m = self.asked.cut.foresee_middles(&boxes, kappa);
+                unclear &= !(middle & m.above_lo & (m.below_hi | floors));
+            }
+            for k in bits(unclear) {
                 if !self.needs(spot, k, floors >> k & 1 == 1, inside >> k & 1 == 1) {
                     taken &= !(1 << k);
                 }

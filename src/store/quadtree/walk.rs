@@ -39,6 +39,17 @@ pub trait Question {
     /// `above`: over the cell around it; `below`: what is known of the subtree.
     fn range(&mut self, cell: &Bounds, above: Option<&Range>, below: Option<&Below>) -> Option<Range>;
 
+    /// The same of the four cells below one, where there is something below.
+    #[inline]
+    fn ranges(
+        &mut self,
+        cells: &[Bounds; 4],
+        above: &Range,
+        below: &[Option<Below>; 4],
+    ) -> [Option<Range>; 4] {
+        std::array::from_fn(|k| self.range(&cells[k], Some(above), Some(below[k].as_ref()?)))
+    }
+
     /// Takes what it needs of a shelf. False where it meets a top of at most `range.lo`: everything after it and below is no
     /// higher (invariant Q5).
     fn visit(&mut self, spot: &Spot, number: Option<u32>, range: &Range) -> Result<bool>;
@@ -96,10 +107,13 @@ impl<Q: Question> Walk<'_, Q> {
                 Reached::Apart(spot) => self.shelf(&spot, None, cell, depth, range),
             };
         }
-        for k in 0..4 {
-            let Some(below) = &spot.summary.children[k] else { continue };
-            let cell = child_cell(cell, k);
-            let Some(range) = self.question.range(&cell, Some(range), Some(below)) else { continue };
+        if spot.summary.children.iter().all(Option::is_none) {
+            return Ok(());
+        }
+        let cells: [Bounds; 4] = std::array::from_fn(|k| child_cell(cell, k));
+        let ranges = self.question.ranges(&cells, range, &spot.summary.children);
+        for (k, (cell, range)) in cells.iter().zip(&ranges).enumerate() {
+            let Some(range) = range else { continue };
             let page = || spot.shelf.children[k].expect("the summary tells of the children").page;
             if depth == DEPTH_MAX {
                 return Err(Error::corrupt(
@@ -108,8 +122,8 @@ impl<Q: Question> Walk<'_, Q> {
                     format!("deeper than {DEPTH_MAX} nodes; run `terraquilt verify`"),
                 ));
             }
-            let at = self.tree.below(spot, k, || self.shelves.shelf(&page(), &cell))?;
-            self.node(&at, &cell, depth + 1, &range)?;
+            let at = self.tree.below(spot, k, || self.shelves.shelf(&page(), cell))?;
+            self.node(&at, cell, depth + 1, range)?;
         }
         Ok(())
     }

@@ -4,6 +4,7 @@
 //! `delta = tau w^2 / (D rho + tau |sin a| w)`. The paper's formula uses the distance in place of the depth and is not
 //! conservative; this one is, at any pitch and roll.
 
+use super::lots::{LOT, lot};
 use super::{Boxes, Cut, Foreseen, Region, pack};
 use crate::base::{Error, Result};
 use multiversion::multiversion;
@@ -190,35 +191,73 @@ fn foresee(c: &Camera, boxes: &Boxes, kappa: f64, out: &mut [[u8; 64]; 4]) {
         let (w, rho) = (w.max(c.near), rho.max(0.0));
         Tolerance(c.pixels * w * w, c.focal * rho + c.pixels * s * w)
     };
-    let n = boxes.x.len().min(64);
-    let (x, y, radius) = (&boxes.x[..n], &boxes.y[..n], &boxes.radius[..n]);
-    let (top, bot) = (&boxes.top[..n], &boxes.bot[..n]);
-    let arms = boxes.arms.map(|a| &a[..n]);
-    let [above_lo, below_hi, not_above_lo, not_below_hi] = out;
-    for k in 0..n {
-        let hair = 1e-9 * (eye + x[k].abs() + y[k].abs()) + 1e-7 * radius[k];
-        let m = flat(x[k] - c.eye[0], y[k] - c.eye[1]);
-        let a = flat(f64::from(arms[0][k]), f64::from(arms[1][k]));
-        let b = flat(f64::from(arms[2][k]), f64::from(arms[3][k]));
-        let half = [a[0].abs().max(b[0].abs()), a[1].abs().max(b[1].abs())];
-        let (w, dw) = (m[0] * cosine + depth_of_height, half[0] * cosine);
-        let mm = m[0] * m[0] + m[1] * m[1];
-        let (ma, aa) = (2.0 * (m[0] * a[0] + m[1] * a[1]).abs(), a[0] * a[0] + a[1] * a[1]);
-        let (mb, bb) = (2.0 * (m[0] * b[0] + m[1] * b[1]).abs(), b[0] * b[0] + b[1] * b[1]);
-        let far = (mm + (aa + ma).max(bb + mb)).sqrt();
-        let near = (mm + (aa - ma).min(bb - mb)).max(0.0).sqrt();
-        let beside = [0, 1].map(|k| (m[k].abs() - half[k] - hair).max(0.0));
-        let nearer = if level { 0.0 } else { (beside[0] * beside[0] + beside[1] * beside[1]).sqrt() };
-        let slack = hair + 1e-7 * far;
-        let lo_least = tolerance(w - dw - hair, far + slack);
-        let lo_most = tolerance(w - dw + hair, far - slack);
-        let hi_least = tolerance(w + dw - hair, near + slack);
-        let hi_most = tolerance(w + dw + hair, nearer * (1.0 - 1e-9));
-        let (top, bot) = (kappa * f64::from(top[k]), f64::from(bot[k]));
-        above_lo[k] = u8::from(lo_most.0 * (1.0 + 1e-9) < top * lo_most.1);
-        below_hi[k] = u8::from(bot * hi_least.1 <= hi_least.0 * (1.0 - 1e-9));
-        not_above_lo[k] = u8::from(lo_least.0 * (1.0 - 1e-9) >= top * lo_least.1);
-        not_below_hi[k] = u8::from(bot * hi_most.1 > hi_most.0 * (1.0 + 1e-9));
+    for from in (0..boxes.x.len().min(64)).step_by(LOT) {
+        let (x, y, radius) = (lot(boxes.x, from), lot(boxes.y, from), lot(boxes.radius, from));
+        let (top, bot) = (lot(boxes.top, from), lot(boxes.bot, from));
+        let [a0, a1, a2, a3] = boxes.arms;
+        let arms = [lot(a0, from), lot(a1, from), lot(a2, from), lot(a3, from)];
+        let (mut above_lo, mut below_hi) = ([0; LOT], [0; LOT]);
+        let (mut not_above_lo, mut not_below_hi) = ([0; LOT], [0; LOT]);
+        for k in 0..LOT {
+            let hair = 1e-9 * (eye + x[k].abs() + y[k].abs()) + 1e-7 * radius[k];
+            let m = flat(x[k] - c.eye[0], y[k] - c.eye[1]);
+            let a = flat(f64::from(arms[0][k]), f64::from(arms[1][k]));
+            let b = flat(f64::from(arms[2][k]), f64::from(arms[3][k]));
+            let half = [a[0].abs().max(b[0].abs()), a[1].abs().max(b[1].abs())];
+            let (w, dw) = (m[0] * cosine + depth_of_height, half[0] * cosine);
+            let mm = m[0] * m[0] + m[1] * m[1];
+            let (ma, aa) = (2.0 * (m[0] * a[0] + m[1] * a[1]).abs(), a[0] * a[0] + a[1] * a[1]);
+            let (mb, bb) = (2.0 * (m[0] * b[0] + m[1] * b[1]).abs(), b[0] * b[0] + b[1] * b[1]);
+            let far = (mm + (aa + ma).max(bb + mb)).sqrt();
+            let near = (mm + (aa - ma).min(bb - mb)).max(0.0).sqrt();
+            let beside = [0, 1].map(|k| (m[k].abs() - half[k] - hair).max(0.0));
+            let nearer = if level { 0.0 } else { (beside[0] * beside[0] + beside[1] * beside[1]).sqrt() };
+            let slack = hair + 1e-7 * far;
+            let lo_least = tolerance(w - dw - hair, far + slack);
+            let lo_most = tolerance(w - dw + hair, far - slack);
+            let hi_least = tolerance(w + dw - hair, near + slack);
+            let hi_most = tolerance(w + dw + hair, nearer * (1.0 - 1e-9));
+            let (top, bot) = (kappa * f64::from(top[k]), f64::from(bot[k]));
+            above_lo[k] = u8::from(lo_most.0 * (1.0 + 1e-9) < top * lo_most.1);
+            below_hi[k] = u8::from(bot * hi_least.1 <= hi_least.0 * (1.0 - 1e-9));
+            not_above_lo[k] = u8::from(lo_least.0 * (1.0 - 1e-9) >= top * lo_least.1);
+            not_below_hi[k] = u8::from(bot * hi_most.1 > hi_most.0 * (1.0 + 1e-9));
+        }
+        for (column, told) in out.iter_mut().zip([above_lo, below_hi, not_above_lo, not_below_hi]) {
+            column[from..from + LOT].copy_from_slice(&told);
+        }
+    }
+}
+
+/// [`Cut::foresee_middles`] in columns of 0 and 1: the bounds over a polygon hold between them the tolerance at each of its points.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw", "x86_64+avx2"))]
+fn foresee_middles(c: &Camera, boxes: &Boxes, kappa: f64, out: &mut [[u8; 64]; 2]) {
+    let (s, depth_of_height) = (c.pitch_sin.abs(), c.h * c.pitch_sin);
+    let eye = 1.0 + c.eye[0].abs() + c.eye[1].abs() + c.h.abs();
+    let tolerance = |w: f64, rho: f64| {
+        let (w, rho) = (w.max(c.near), rho.max(0.0));
+        Tolerance(c.pixels * w * w, c.focal * rho + c.pixels * s * w)
+    };
+    for from in (0..boxes.x.len().min(64)).step_by(LOT) {
+        let (x, y, radius) = (lot(boxes.x, from), lot(boxes.y, from), lot(boxes.radius, from));
+        let (top, bot) = (lot(boxes.top, from), lot(boxes.bot, from));
+        let (mut above_lo, mut below_hi) = ([0; LOT], [0; LOT]);
+        for k in 0..LOT {
+            let hair = 1e-9 * (eye + x[k].abs() + y[k].abs()) + 1e-7 * radius[k];
+            let (dx, dy) = (x[k] - c.eye[0], y[k] - c.eye[1]);
+            let ahead = dx * c.forward[0] + dy * c.forward[1];
+            let aside = s * (dx * c.forward[1] - dy * c.forward[0]);
+            let (w, rho) = (ahead * c.pitch_cos + depth_of_height, (ahead * ahead + aside * aside).sqrt());
+            let slack = hair + 1e-7 * rho;
+            let lo_most = tolerance(w + hair, rho - slack);
+            let hi_least = tolerance(w - hair, rho + slack);
+            let (top, bot) = (kappa * f64::from(top[k]), f64::from(bot[k]));
+            above_lo[k] = u8::from(lo_most.0 * (1.0 + 1e-9) < top * lo_most.1);
+            below_hi[k] = u8::from(bot * hi_least.1 <= hi_least.0 * (1.0 - 1e-9));
+        }
+        for (column, told) in out.iter_mut().zip([above_lo, below_hi]) {
+            column[from..from + LOT].copy_from_slice(&told);
+        }
     }
 }
 
@@ -236,6 +275,13 @@ impl Cut for Camera {
         foresee(self, boxes, kappa, &mut out);
         let [above_lo, below_hi, not_above_lo, not_below_hi] = out.each_ref().map(pack);
         Foreseen { above_lo, below_hi, not_above_lo, not_below_hi }
+    }
+
+    fn foresee_middles(&self, boxes: &Boxes, kappa: f64) -> Foreseen {
+        let mut out = [[0; 64]; 2];
+        foresee_middles(self, boxes, kappa, &mut out);
+        let [above_lo, below_hi] = out.each_ref().map(pack);
+        Foreseen { above_lo, below_hi, ..Foreseen::default() }
     }
 
     fn at(&self, p: [f64; 2]) -> f64 {
@@ -424,7 +470,7 @@ mod tests {
     #[test]
     fn what_is_foreseen_is_what_bounds_say() {
         let s = &mut 0xface;
-        let mut certain = [0; 4];
+        let mut certain = [0; 6];
         for n in 0..4000 {
             let far = 10f64.powf(1.0 + 4.0 * random(s));
             let place = if n % 4 == 0 { [0.0; 2] } else { [500_000.0, 4_000_000.0] };
@@ -468,6 +514,7 @@ mod tests {
                 arms: arms.each_ref().map(|a| &a[..]),
             };
             let f = c.foresee(&boxes, 1.1);
+            let middles = c.foresee_middles(&boxes, 1.1);
             for (k, domain) in domains.iter().enumerate() {
                 let (top, bot) = (1.1 * f64::from(heights[0][k]), f64::from(heights[1][k]));
                 let told = [f.above_lo, f.below_hi, f.not_above_lo, f.not_below_hi].map(|m| m >> k & 1 == 1);
@@ -475,6 +522,19 @@ mod tests {
                 let (lo, hi) = c.bounds(domain);
                 assert!(!told[0] || lo < top, "{c:?} {domain:?}");
                 assert!(!told[1] || bot <= hi, "{c:?} {domain:?}");
+                // Parts that shrink to the middle.
+                let m = [columns[0][k], columns[1][k]];
+                let by = random(s).powi(4);
+                let around = domain.map(|p| [0, 1].map(|k| m[k] + by * random(s) * (p[k] - m[k])));
+                let (lo, hi) = c.bounds(&Region::hull(around.to_vec()).polygon);
+                for (n, (told, holds)) in
+                    [(middles.above_lo, lo < top), (middles.below_hi, bot <= hi)].into_iter().enumerate()
+                {
+                    let told = told >> k & 1 == 1;
+                    certain[4 + n] += usize::from(told);
+                    assert!(!told || holds, "{c:?} {around:?}");
+                }
+                let (lo, hi) = c.bounds(domain);
                 let part = Region::hull((0..5).map(|_| near(s, far)).collect()).clip(domain);
                 for (lo, hi) in [(lo, hi)].into_iter().chain((!part.is_empty()).then(|| c.bounds(&part))) {
                     assert!(!told[2] || lo >= top, "{c:?} {domain:?}");

@@ -3,6 +3,7 @@
 mod bits;
 mod camera;
 mod foci;
+mod lots;
 mod raster;
 mod region;
 #[cfg(test)]
@@ -11,6 +12,7 @@ mod testing;
 pub use bits::pack;
 pub use camera::Camera;
 pub use foci::{Foci, Focus};
+pub use lots::LOT;
 pub use raster::ErrorRaster;
 pub use region::{Clip, Lies, Region, bounds};
 
@@ -25,6 +27,11 @@ pub trait Cut: Sync {
     /// What is certain of boxes of LOD space, many at a time: far cheaper than [`Cut::bounds`], and enough for most patches. A tolerance
     /// that knows no better says nothing.
     fn foresee(&self, _boxes: &Boxes, _kappa: f64) -> Foreseen {
+        Foreseen::default()
+    }
+    /// The same of parts of domains: `above_lo` and `below_hi` hold for the bounds over every part that holds the middle, however
+    /// little else. The other two are not told.
+    fn foresee_middles(&self, _boxes: &Boxes, _kappa: f64) -> Foreseen {
         Foreseen::default()
     }
     /// The tolerance at a point.
@@ -54,7 +61,7 @@ pub struct Boxes<'a> {
     pub arms: [&'a [f32]; 4],
 }
 
-/// What is certain of boxes, bit k of the k-th: how their tops, times kappa, and bots compare with the bounds `(lo, hi)` that
+/// What is certain of boxes, bit k of the k-th (bits after the last box mean nothing): how their tops, times kappa, and bots compare with the bounds `(lo, hi)` that
 /// [`Cut::bounds`] gives. The first two hold for the bounds over the whole domain, the others for those over any part of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Foreseen {
