@@ -142,6 +142,9 @@ impl Cover<'_> {
     fn least(&mut self, bound: f32) -> Result<f32> {
         self.candidates.retain(|c| c.bot < bound);
         self.candidates.sort_by(|a, b| a.bot.total_cmp(&b.bot));
+        if !self.reaches_corners() {
+            return Ok(bound);
+        }
         // Steps as ends of the candidates that count there.
         let mut ends: Vec<usize> = self.candidates.chunk_by(|a, b| a.bot == b.bot).map(<[_]>::len).collect();
         let mut end = 0;
@@ -175,6 +178,17 @@ impl Cover<'_> {
         self.candidates.truncate(ends[lo]);
         self.candidates.retain(|c| c.bot < least);
         Ok(least)
+    }
+
+    /// Whether every corner of the kernel lies in the rectangle of some candidate: without that, nothing covers it, and that is
+    /// how most kernels at the rim of a pile are told.
+    fn reaches_corners(&self) -> bool {
+        let rect = |c: &Candidate| {
+            let g = self.world.geometry(self.others[c.survey]);
+            g.frame.quad(&c.place.rect().intersect(&g.core))
+        };
+        let rects: Vec<Quad> = self.candidates.iter().map(rect).collect();
+        self.pieces.iter().flat_map(|p| p.0).all(|corner| rects.iter().any(|r| r.contains_point(corner)))
     }
 
     /// Whether the first so many candidates cover the kernel. Per survey their union is core' inside the union of their
