@@ -268,13 +268,20 @@ fn cover_edge(
 ) -> bool {
     spans.clear();
     let eb = Bounds { min: a, max: a }.union(&Bounds { min: b, max: b });
-    for (k, c) in near.iter().enumerate() {
+    for (k, c) in near.iter_mut().enumerate() {
         // An edge may run along the border of a cover quad, so touching boxes count.
         let cb = &c.bounds;
         if cb.min.x > eb.max.x || eb.min.x > cb.max.x || cb.min.y > eb.max.y || eb.min.y > cb.max.y {
             continue;
         }
         if let Some((from, to)) = interval(a, b, side, &c.quad) {
+            if from.compare(&lo) != Ordering::Greater && to.compare(&hi) != Ordering::Less {
+                // One that covers the whole edge is as few as can be.
+                if !std::mem::replace(&mut c.needed, true) {
+                    needed.push(k);
+                }
+                return true;
+            }
             spans.push(Span { from, to, near: k });
         }
     }

@@ -22,8 +22,9 @@ use std::time::{Duration, Instant};
 const PAGES: usize = 8192;
 const NODES: usize = SPOTS_MAX;
 const DIRECTORIES: usize = 1024;
-/// Heads and lists of pages of surveys: a survey of a hundred million posts has some 100 KiB of either.
-const SURVEYS: usize = 256;
+/// Heads and lists of pages of surveys: a survey of a hundred million posts has some 100 KiB of either, a small one 1 KiB. Room for
+/// as many as may lie over one place: a commit there asks all of them.
+const SURVEYS: usize = 2048;
 /// Decoded sample blocks, bytes.
 const BLOCK_BYTES: u64 = 192 << 20;
 

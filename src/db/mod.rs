@@ -51,6 +51,7 @@ mod root;
 mod seams;
 mod selection;
 mod settling;
+mod sheets;
 mod subset;
 mod tile;
 mod triangles;

@@ -9,7 +9,8 @@
 
 use super::change::Progress;
 use super::root::SurveyEntry;
-use super::view::{Index, Rules, Tables, View};
+use super::sheets::Sheets;
+use super::view::{Index, Tables, View};
 use crate::base::Result;
 use crate::base::lattice::Quad;
 use crate::height::cells::{Block, Fill};
@@ -27,7 +28,7 @@ pub struct Draft<'a> {
     pub base: &'a View,
     pub entries: BTreeMap<SurveyNumber, SurveyEntry>,
     index: Index,
-    patches: HashMap<(SurveyNumber, PageAddress), Option<Arc<PatchPage>>>,
+    patches: BTreeMap<(SurveyNumber, PageAddress), Option<Arc<PatchPage>>>,
     tops: HashMap<(SurveyNumber, PageAddress), Option<Arc<TopPage>>>,
 }
 
@@ -95,13 +96,27 @@ type Moved = HashMap<SurveyNumber, HashMap<Place, f32>>;
 impl<'a> Draft<'a> {
     pub fn new(base: &'a View, entries: BTreeMap<SurveyNumber, SurveyEntry>) -> Draft<'a> {
         let index = Index::new(entries.values());
-        Draft { base, entries, index, patches: HashMap::new(), tops: HashMap::new() }
+        Draft { base, entries, index, patches: BTreeMap::new(), tops: HashMap::new() }
     }
 
     /// Lays pages over those of the base.
     pub(super) fn lay(&mut self, s: SurveyNumber, at: PageAddress, page: Arc<PatchPage>, tops: Arc<TopPage>) {
         self.patches.insert((s, at), Some(page));
         self.tops.insert((s, at), Some(tops));
+    }
+
+    /// Where a survey of the draft may have pages, ascending.
+    pub(super) fn addresses(&self, s: SurveyNumber) -> Result<Vec<PageAddress>> {
+        let mut out: Vec<PageAddress> = match self.base.entries().contains_key(&s) {
+            true => self.base.head(s)?.pages.iter().map(|(at, _)| *at).collect(),
+            false => Vec::new(),
+        };
+        let first = PageAddress { level: 0, i: i32::MIN, j: i32::MIN };
+        let laid = self.patches.range((s, first)..).map(|(key, _)| *key);
+        out.extend(laid.take_while(|(n, _)| *n == s).map(|(_, at)| at));
+        out.sort_unstable();
+        out.dedup();
+        Ok(out)
     }
 
     fn geometry_either(&self, s: SurveyNumber) -> &Geometry {
@@ -253,15 +268,15 @@ impl<'a> Draft<'a> {
             // Where its core is or was: a tile may have left.
             let reach =
                 self.base.entries().get(s).map_or(g.bounds(), |e| e.geometry.bounds().union(&g.bounds()));
-            let rank = ranks[s];
+            let (rank, areas) = (ranks[s], joined(places));
             for (h, e) in &self.entries {
                 if h == s || e.geometry.precedence >= rank || !e.geometry.bounds().overlaps(&reach) {
                     continue;
                 }
                 let set = work.entry(*h).or_default();
-                for area in joined(places) {
+                for area in &areas {
                     let cells =
-                        e.geometry.frame.cells_meeting(&g.frame.quad(&area)).intersect(&e.geometry.core);
+                        e.geometry.frame.cells_meeting(&g.frame.quad(area)).intersect(&e.geometry.core);
                     let range = places_meeting(0, &cells);
                     for j in range.j0..range.j1 {
                         set.extend((range.i0..range.i1).map(|i| (i as i32, j as i32)));
@@ -273,14 +288,14 @@ impl<'a> Draft<'a> {
             work.iter().flat_map(|(s, p)| p.iter().map(|(i, j)| (*s, *i, *j))).collect();
         let done = std::sync::atomic::AtomicU64::new(0);
         let found: Vec<Block> = {
-            let draft = &*self;
+            let sheets = Sheets::new(self);
             list.par_iter()
                 .map(|(s, i, j)| {
                     let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
                     if n.is_multiple_of(1024) {
                         progress.step("precedence", n as f64 / list.len() as f64)?;
                     }
-                    cover::core_prime(&Rules(draft), *s, *i, *j)
+                    cover::core_prime(&sheets, *s, *i, *j)
                 })
                 .collect::<Result<_>>()?
         };
@@ -399,12 +414,13 @@ impl<'a> Draft<'a> {
                 }
             }
         }
+        let sheets = Sheets::new(self);
         let found: Vec<Option<(SurveyNumber, Place, Fact)>> = list
             .par_iter()
             .map(|(x, place)| {
-                let Some(entry) = self.patch(*x, *place)? else { return Ok(None) };
+                let Some(entry) = sheets.patch(*x, *place)? else { return Ok(None) };
                 let whole = own.contains(&(*x, *place)) || flipped.get(x).is_some_and(|f| f.contains(place));
-                if whole || self.may_differ(*x, *place, &entry.fact, moved, flipped)? {
+                if whole || self.may_differ(&sheets, *x, *place, &entry.fact, moved, flipped)? {
                     return Ok(Some((*x, *place, entry.fact)));
                 }
                 Ok(None)
@@ -418,13 +434,14 @@ impl<'a> Draft<'a> {
     /// The finer form of section 12, step 4, for a patch whose own fact and kernel are unchanged.
     fn may_differ(
         &self,
+        sheets: &Sheets,
         x: SurveyNumber,
         place: Place,
         fact: &Fact,
         moved: &Moved,
         flipped: &HashMap<SurveyNumber, HashSet<Place>>,
     ) -> Result<bool> {
-        let Some(top) = self.top(x, place)? else { return Ok(true) };
+        let Some(top) = sheets.top(x, place)? else { return Ok(true) };
         let live = top.standing.top > fact.bot;
         let g = self.geometry_of(x);
         let quad = g.frame.quad(&place.rect().intersect(&g.core));
@@ -471,7 +488,7 @@ impl<'a> Draft<'a> {
     ) -> Result<()> {
         let done = std::sync::atomic::AtomicU64::new(0);
         let found: Vec<Standing> = {
-            let draft = &*self;
+            let sheets = Sheets::new(self);
             dirty
                 .par_iter()
                 .with_max_len(256)
@@ -480,7 +497,7 @@ impl<'a> Draft<'a> {
                     if n.is_multiple_of(256) {
                         progress.step("tops", n as f64 / dirty.len() as f64)?;
                     }
-                    standing(&Rules(draft), *s, *place, fact)
+                    standing(&sheets, *s, *place, fact)
                 })
                 .collect::<Result<_>>()?
         };
