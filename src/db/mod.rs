@@ -23,6 +23,7 @@ mod contradictions;
 mod corrections;
 mod database;
 mod declare;
+mod dirty;
 mod errors;
 mod export;
 mod finest;
