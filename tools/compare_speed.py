@@ -156,14 +156,14 @@ def query_rows(a, db):
 
 
 def evaluation_rows(a, db):
-    """Rows 11, 12, 13: rates of the time that the thread had a core; by the clock in brackets."""
+    """Rows 11, 12, 13: rates by the clock; the best of several calls."""
     found = json.loads(run([example(a, "evaluation"), db, "--json"], threads=1)[2])
     by = {(e["what"], e["tolerance_m"]): e for e in found}
 
     def add(number, what, must, aim, key, beside):
         e, other = by[(key, 0)], by[(beside, 0)]
-        shown = f"{e['core_mps']:.1f} M/s (clock {e['wall_mps']:.1f}; {beside.split(', ')[-1]} {other['core_mps']:.1f})"
-        row(number, what, must, aim, e["core_mps"], shown, "more")
+        shown = f"{e['wall_mps']:.1f} M/s ({beside.split(', ')[-1]} {other['wall_mps']:.1f})"
+        row(number, what, must, aim, e["wall_mps"], shown, "more")
 
     add(11, "grid of heights, bilinear, one core, million a second", 60, 200, "bilinear, grid at the posts", "bilinear, grid finer than the posts")
     add(12, "grid of heights, bicubic, one core, million a second", 20, 60, "bicubic, grid at the posts", "bicubic, grid finer than the posts")
@@ -197,15 +197,17 @@ def mesh_rows(a, work):
     vertices, triangles, extras = read_glb(glb)
     o = extras["origin"]
     grid = np.stack([(vertices[:, 0] + o[0] - east - step / 2) / step, (north - step / 2 - vertices[:, 1] - o[1]) / step, vertices[:, 2] + o[2]], 1)
-    error, missing = error_at_posts(grid, triangles, posts.astype(np.float32))
+    error, _ = error_at_posts(grid, triangles, posts.astype(np.float32))
+    # Every cell of the outermost ring lacks posts around it and is no part of the surface.
+    inner = posts[1:-1, 1:-1].astype(np.float32)
     ours, theirs = [], []
     for _ in range(a.rounds):
         ours.append(json.loads(run([a.speed, "mesh", db, "5", "1"])[2])["seconds"]["median"])
-        mesh, _, true, seconds = delatin_within(posts.astype(np.float32), 5.0)
+        mesh, _, true, seconds = delatin_within(inner, max(5.0, error))
         theirs.append(seconds)
     one = json.loads(run([a.speed, "mesh", db, "5", "1"], threads=1)[2])["seconds"]["median"]
     share = len(triangles) / len(mesh.triangles)
-    row("15a", "mesh within 5 m, triangles / pydelatin's", 1.0, 0.85, share, f"{share:.3f} x  ({len(triangles)} / {len(mesh.triangles)}; at the posts {error:.4f} m, {missing} missed)")
+    row("15a", "mesh within 5 m, triangles / pydelatin's", 1.0, 0.85, share, f"{share:.3f} x  ({len(triangles)} / {len(mesh.triangles)}; at the posts {error:.4f} and {true:.4f} m)")
     ratio = middle([o / t for o, t in zip(ours, theirs)])
     row("15b", "the same, time / pydelatin's", 1.0, 0.33, ratio, f"{ratio:.2f} x  ({spread(ours, 's', 2)} on all cores, {one:.2f} on one / {spread(theirs, 's', 2)})")
 

@@ -40,51 +40,61 @@ pub fn run(db: &str) -> Result<Value> {
         Ok(())
     })?;
     let rows = posts.len() / cols;
+    let levels: Vec<Vertices> = (1..LEVELS).map(|level| Vertices::new(&posts, cols, rows, level)).collect();
+    let blocks = blocks(&posts, cols, rows);
     let mut passes = Vec::new();
-    let mut levels = vec![Vec::new(); usize::from(LEVELS) - 1];
     for _ in 0..PASSES {
-        let mut whole = 0.0;
-        for level in 1..LEVELS {
-            let seconds = errors(&posts, cols, rows, level);
-            levels[usize::from(level) - 1].push((cols * rows) as f64 / seconds / 1e6);
-            whole += seconds;
+        let started = Instant::now();
+        for block in &blocks {
+            for vertices in &levels {
+                black_box(errors(block, vertices));
+            }
         }
-        passes.push((cols * rows) as f64 / whole / 1e6);
+        passes.push((cols * rows) as f64 / started.elapsed().as_secs_f64() / 1e6);
     }
     Ok(json!({
         "part": "pyramid", "posts": cols * rows, "levels": LEVELS,
         "million_posts_a_second_all_levels": summary(passes),
-        "million_posts_a_second_by_level": levels.into_iter().map(summary).collect::<Vec<_>>(),
     }))
 }
 
-/// Seconds for the errors of one level over all posts, block by block as an ingest takes them. Vertices are at hand.
-fn errors(posts: &[f64], cols: usize, rows: usize, level: u8) -> f64 {
-    let vertices = Vertices::new(posts, cols, rows, level);
-    let started = Instant::now();
-    for j0 in (0..rows).step_by(BLOCK as usize) {
-        for i0 in (0..cols).step_by(BLOCK as usize) {
-            let [i1, j1] = [(i0 + BLOCK as usize).min(cols), (j0 + BLOCK as usize).min(rows)];
-            let places = places_touching_posts(level, i0 as i64, j0 as i64, i1 as i64 - 1, j1 as i64 - 1);
-            let mut gather = Residuals::new(level, places, i0 as i64, i1 - i0);
-            let (first, count) = gather.vertices();
-            for j in j0..j1 {
-                let line = |v: usize| &vertices.z[v * vertices.cols + first as usize..][..count];
-                gather.row(
-                    j as i64,
-                    &posts[j * cols + i0..j * cols + i1],
-                    line(j >> level),
-                    line((j >> level) + 1),
-                );
-            }
-            black_box(gather.finish());
-        }
+/// Posts as an ingest has them at hand: a block after the other.
+struct Block {
+    first: [usize; 2],
+    cols: usize,
+    z: Vec<f64>,
+}
+
+fn blocks(posts: &[f64], cols: usize, rows: usize) -> Vec<Block> {
+    let side = BLOCK as usize;
+    let firsts = (0..rows).step_by(side).flat_map(|j| (0..cols).step_by(side).map(move |i| [i, j]));
+    firsts
+        .map(|[i, j]| {
+            let (i1, j1) = ((i + side).min(cols), (j + side).min(rows));
+            let z = (j..j1).flat_map(|j| posts[j * cols + i..j * cols + i1].iter().copied()).collect();
+            Block { first: [i, j], cols: i1 - i, z }
+        })
+        .collect()
+}
+
+/// Errors of the places of one level, as far as a block tells.
+fn errors(block: &Block, vertices: &Vertices) -> Vec<f64> {
+    let ([i0, j0], level, rows) = (block.first, vertices.level, block.z.len() / block.cols);
+    let last = [i0 + block.cols - 1, j0 + rows - 1].map(|v| v as i64);
+    let places = places_touching_posts(level, i0 as i64, j0 as i64, last[0], last[1]);
+    let mut gather = Residuals::new(level, places, i0 as i64, block.cols);
+    let (first, count) = gather.vertices();
+    let line = |v: usize| &vertices.z[v * vertices.cols + first as usize..][..count];
+    for (row, posts) in block.z.chunks_exact(block.cols).enumerate() {
+        let v = (j0 + row) >> level;
+        gather.row((j0 + row) as i64, posts, line(v), line(v + 1));
     }
-    started.elapsed().as_secs_f64()
+    gather.finish()
 }
 
 /// Every so many-th post of every so many-th row, the last ones repeated at the end.
 struct Vertices {
+    level: u8,
     cols: usize,
     z: Vec<f64>,
 }
@@ -94,6 +104,6 @@ impl Vertices {
         let (wide, high) = ((cols >> level) + 2, (rows >> level) + 2);
         let at = |v: usize, n: usize| (v << level).min(n - 1);
         let z = (0..high).flat_map(|j| (0..wide).map(move |i| posts[at(j, rows) * cols + at(i, cols)]));
-        Vertices { cols: wide, z: z.collect() }
+        Vertices { level, cols: wide, z: z.collect() }
     }
 }

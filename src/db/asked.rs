@@ -98,14 +98,14 @@ impl Asked<'_> {
 
     /// The part of a record's domain in the region; empty if they do not meet.
     fn part(&mut self, spot: &Spot, k: usize) -> &[[f64; 2]] {
-        let domain = self.domain(&spot.shelf.records[k]);
-        let b = spot.shelf.boxes(spot.shelf.records.len());
+        let domain = self.domain(&spot.records[k]);
+        let b = spot.shelf.boxes(spot.records.len());
         self.clip.part_within(&domain, [b.x[k], b.y[k]], b.radius[k])
     }
 
     /// Of the records in a mask those that were not taken before.
     fn new_ones(&mut self, spot: &Spot, mask: u64) -> u64 {
-        let again = bits(mask & !spot.summary.alone).filter(|k| !self.met.insert(spot.shelf.records[*k].id));
+        let again = bits(mask & !spot.summary.alone).filter(|k| !self.met.insert(spot.records[*k].id));
         mask & !again.fold(0, |m, k| m | 1 << k)
     }
 }
@@ -204,7 +204,7 @@ pub struct Uneven<'a> {
 impl Uneven<'_> {
     /// Whether a record is needed, by the corners of its domain; `inside`: all of that is in the region.
     fn needs(&mut self, spot: &Spot, k: usize, floor: bool, inside: bool) -> bool {
-        let (r, cut) = (&spot.shelf.records[k], self.asked.cut);
+        let (r, cut) = (&spot.records[k], self.asked.cut);
         let (lo, hi) = if inside {
             cut.bounds(&self.asked.domain(r))
         } else {

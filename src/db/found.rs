@@ -2,7 +2,7 @@
 
 use super::selection::Selection;
 use crate::height::lod::cut::Region;
-use crate::store::quadtree::{Explored, Record, Shelf, Spot, bits};
+use crate::store::quadtree::{Explored, Record, Spot, bits};
 use std::sync::Arc;
 
 /// The patches of an answer, each once, in no particular order: masks of records in decoded nodes, which it keeps. Some bytes a
@@ -19,7 +19,7 @@ pub struct Found {
     /// Numbers of spots, and which of their records.
     linked: Vec<(u32, u64)>,
     /// The same for nodes that are not linked.
-    apart: Vec<(Arc<Shelf>, u64)>,
+    apart: Vec<(Arc<[Record]>, u64)>,
 }
 
 impl Found {
@@ -32,21 +32,21 @@ impl Found {
         match number {
             _ if mask == 0 => {}
             Some(number) => self.linked.push((number, mask)),
-            None => self.apart.push((spot.shelf.clone(), mask)),
+            None => self.apart.push((spot.records.clone(), mask)),
         }
     }
 
     /// Keeps what a rule says of each.
     pub(super) fn retain(&mut self, mut keep: impl FnMut(&Record) -> bool) {
-        let mut kept = |shelf: &Shelf, mask: &mut u64| {
+        let mut kept = |records: &[Record], mask: &mut u64| {
             for k in bits(*mask) {
-                *mask &= !(u64::from(!keep(&shelf.records[k])) << k);
+                *mask &= !(u64::from(!keep(&records[k])) << k);
             }
             *mask != 0
         };
         let tree = &self.tree;
-        self.linked.retain_mut(|(number, mask)| kept(&tree.spot(*number).shelf, mask));
-        self.apart.retain_mut(|(shelf, mask)| kept(shelf, mask));
+        self.linked.retain_mut(|(number, mask)| kept(&tree.spot(*number).records, mask));
+        self.apart.retain_mut(|(records, mask)| kept(records, mask));
     }
 
     /// How many patches.
@@ -60,20 +60,20 @@ impl Found {
         self.linked.is_empty() && self.apart.is_empty()
     }
 
-    fn shelves(&self) -> impl Iterator<Item = (&Shelf, u64)> {
-        let linked = self.linked.iter().map(|(number, mask)| (&*self.tree.spot(*number).shelf, *mask));
-        linked.chain(self.apart.iter().map(|(shelf, mask)| (&**shelf, *mask)))
+    fn nodes_taken(&self) -> impl Iterator<Item = (&[Record], u64)> {
+        let linked = self.linked.iter().map(|(number, mask)| (&*self.tree.spot(*number).records, *mask));
+        linked.chain(self.apart.iter().map(|(records, mask)| (&**records, *mask)))
     }
 
     pub fn records(&self) -> impl Iterator<Item = &Record> {
-        self.shelves().flat_map(|(shelf, mask)| bits(mask).map(|k| &shelf.records[k]))
+        self.nodes_taken().flat_map(|(records, mask)| bits(mask).map(|k| &records[k]))
     }
 
     /// The records, ascending by id.
     pub fn selection(self) -> Selection {
         let mut order: Vec<(u64, &Record)> = Vec::with_capacity(self.len());
-        for (shelf, mask) in self.shelves() {
-            order.extend(bits(mask).map(|k| (leading(&shelf.records[k]), &shelf.records[k])));
+        for (records, mask) in self.nodes_taken() {
+            order.extend(bits(mask).map(|k| (leading(&records[k]), &records[k])));
         }
         // Ids are hashes: their first eight bytes tell nearly all of them apart.
         order.sort_unstable_by(|(a, x), (b, y)| a.cmp(b).then_with(|| x.id.cmp(&y.id)));

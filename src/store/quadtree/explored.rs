@@ -4,6 +4,7 @@
 //! decides about a node lies in one array, in the order in which nodes were first reached: a walk over all of them reads memory
 //! forwards. Nodes are shared with other versions (they are immutable); links are of this version.
 
+use super::node::Record;
 use super::shelf::{Shelf, Summary, first};
 use crate::base::Result;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -22,13 +23,15 @@ pub const REST: usize = 4;
 pub struct Spot {
     pub summary: Summary,
     pub shelf: Arc<Shelf>,
+    /// Those of the shelf: who reads an answer need not touch the shelf itself.
+    pub records: Arc<[Record]>,
     /// Numbers of the children and of the rest; 0: not reached yet.
     links: [AtomicU32; 5],
 }
 
 impl Spot {
     fn new(shelf: Arc<Shelf>) -> Spot {
-        Spot { summary: shelf.summary, shelf, links: Default::default() }
+        Spot { summary: shelf.summary, records: shelf.records.clone(), shelf, links: Default::default() }
     }
 
     /// Records with at least this top. The shelf is touched only where its records differ.

@@ -51,7 +51,7 @@ const LOT: usize = 8;
 pub struct Shelf {
     pub summary: Summary,
     /// In record order: tops descend.
-    pub records: Box<[Record]>,
+    pub records: Arc<[Record]>,
     pub children: [Option<ChildRef>; 4],
     pub rest: Option<Arc<Shelf>>,
     /// Tops, then bots, then arms of domains (from the middle to two corners: x, y, x, y).
