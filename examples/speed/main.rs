@@ -2,6 +2,7 @@
 //! `cargo run --release --example speed -- PART ...`
 
 mod arrival;
+mod camera;
 mod decode;
 mod mesh;
 mod pyramid;
@@ -10,6 +11,7 @@ use terraquilt::base::Result;
 
 const USAGE: &str = "usage: speed PART ...
   arrival DB FILE [ROUNDS]   a survey comes and goes ROUNDS times (5): milliseconds from the call to a durable commit that a query sees
+  camera DB [TIMES]          a camera asks TIMES times (1000) from the same place
   decode DB                  every sample block of the first survey is decoded, from the mapped files, on one thread
   mesh DB ERROR [ROUNDS]     a mesh of everything within ERROR metres, from the selection to triangles in memory (ROUNDS: 3)
   pyramid DB                 errors of all levels over posts of the first survey, on one thread";
@@ -20,6 +22,8 @@ fn main() -> Result<()> {
     let found = match args[..] {
         ["arrival", db, file] => arrival::run(db, file, 5),
         ["arrival", db, file, rounds] => arrival::run(db, file, rounds.parse().expect(USAGE)),
+        ["camera", db] => camera::run(db, 1000),
+        ["camera", db, times] => camera::run(db, times.parse().expect(USAGE)),
         ["decode", db] => decode::run(db),
         ["mesh", db, error] => mesh::run(db, error.parse().expect(USAGE), 3),
         ["mesh", db, error, rounds] => {
