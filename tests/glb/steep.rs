@@ -47,8 +47,18 @@ fn everywhere(b: [f64; 4]) -> Vec<[f64; 2]> {
 
 /// Points where mesh and surface are vertically farther apart than the mesh's error, and the largest distance.
 fn beyond(told: &Value, mesh: &Glb, s: &Snapshot, points: &[[f64; 2]]) -> (Vec<[f64; 2]>, f64) {
+    beyond_with(Seams::Off, told, mesh, s, points)
+}
+
+fn beyond_with(
+    seams: Seams,
+    told: &Value,
+    mesh: &Glb,
+    s: &Snapshot,
+    points: &[[f64; 2]],
+) -> (Vec<[f64; 2]>, f64) {
     let bound = told["mesh_error_m"].as_f64().unwrap() * (1.0 + 1e-6);
-    let how = How { blend: Blend::Exact, seams: Seams::Off };
+    let how = How { blend: Blend::Exact, seams };
     let found = s.heights(points, &Tolerance::Constant(2.0), how).unwrap();
     let (mut far, mut worst) = (Vec::new(), 0.0f64);
     for ((p, z), e) in points.iter().zip(mesh.heights(points)).zip(found) {
@@ -96,6 +106,18 @@ fn two_surveys_are_met_vertically_outside_of_the_cells_where_they_meet() {
         assert!(near.iter().any(|x| near.iter().any(|y| both([p[0] + x, p[1] + y]))), "{p:?}");
     }
     assert!(far.len() * 1000 < points.len(), "{} points", far.len());
+}
+
+#[test]
+fn beside_a_better_survey_bent_ground_is_met_between_its_posts() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = crater(folder.path(), true);
+    // The crater alone, 20 m west of the dome's rectangle: corrections reach here, and are bilinear in half cells.
+    let b = [561_900.0, 5_115_900.0, 562_140.0, 5_116_300.0];
+    let (told, mesh, s) = export(folder.path(), &path, ("2.3", b, "all"));
+    assert!(told["correction_m"].as_f64().unwrap() > 0.1, "{told}");
+    let (far, worst) = beyond_with(Seams::All, &told, &mesh, &s, &everywhere(b));
+    assert!(far.is_empty(), "{worst} m, {} points", far.len());
 }
 
 #[test]
