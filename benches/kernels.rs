@@ -218,18 +218,10 @@ fn helens(folder: &Path) -> Result<Db> {
         [("2000-09-25", 2.0), ("2004-10-04", 0.5), ("2004-10-11", 0.5), ("2004-10-13", 0.5)]
     {
         let ingest = Ingest {
-            sources: vec![terraquilt::format::open(&data.join(format!("survey_{date}_native.tif")))?],
             name: Some(date.to_string()),
-            into: None,
             accuracy_m: Some(accuracy_m),
             date: Some(Date::parse(date)?),
-            precedence: None,
-            vertical_unit_m: None,
-            vertical_datum: None,
-            crs: None,
-            datum: Default::default(),
-            step: None,
-            lattice: None,
+            ..Ingest::new(vec![terraquilt::format::open(&data.join(format!("survey_{date}_native.tif")))?])
         };
         let progress = Progress { report: &|_, _| (), stop: &stop };
         db.change(Change::Ingest(ingest), None, false, &progress, &mut || ())?;

@@ -186,25 +186,14 @@ struct Hills(SourceInfo);
 impl Hills {
     fn new() -> Result<Hills> {
         Ok(Hills(SourceInfo {
-            file: "hills".into(),
-            format: "made up",
-            cols: HILLS,
-            rows: HILLS,
-            sample_type: SampleType::I16,
             affine: Some(Affine {
                 origin: [500_005.0, 4_020_485.0],
                 col_step: [10.0, 0.0],
                 row_step: [0.0, -10.0],
             }),
             crs: Some(Crs::parse("EPSG:32611")?),
-            nodata: None,
             scale: 0.1,
-            offset: 0.0,
-            vertical_datum: None,
-            vertical_unit_m: None,
-            accuracy_m: None,
-            product: None,
-            notes: Vec::new(),
+            ..SourceInfo::new("hills", "made up", [HILLS, HILLS], SampleType::I16)
         }))
     }
 }
@@ -237,20 +226,7 @@ fn bicubic(path: &Path, grid: Option<&Path>) -> Result<Db> {
     };
     let crs = source.info().crs.clone().expect("the grid says its coordinate system");
     let db = Db::create(path, &Options { crs, policy: Policy::Accuracy, patch: Kind::Bicubic })?;
-    let ingest = Ingest {
-        sources: vec![source],
-        name: Some("grid".into()),
-        into: None,
-        accuracy_m: Some(1.0),
-        date: None,
-        precedence: None,
-        vertical_unit_m: None,
-        vertical_datum: None,
-        crs: None,
-        datum: Default::default(),
-        step: None,
-        lattice: None,
-    };
+    let ingest = Ingest { name: Some("grid".into()), accuracy_m: Some(1.0), ..Ingest::new(vec![source]) };
     let stop = AtomicBool::new(false);
     let progress = Progress { report: &|_, _| (), stop: &stop };
     db.change(Change::Ingest(ingest), None, false, &progress, &mut || ())?;

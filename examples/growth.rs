@@ -59,39 +59,23 @@ impl Square {
             [0, 1].map(|k| ((middle[k] - half * (col_step[k] + row_step[k])) * 100.0).round() / 100.0);
         let affine = Affine { origin, col_step, row_step };
         let info = SourceInfo {
-            file: format!("made-up-{posts}"),
-            format: "memory",
-            cols: posts as u64,
-            rows: posts as u64,
-            sample_type: SampleType::F32,
             affine: Some(affine),
             crs: Some(crs.clone()),
-            nodata: None,
-            scale: 1.0,
-            offset: 0.0,
-            vertical_datum: None,
-            vertical_unit_m: None,
-            accuracy_m: None,
-            product: None,
-            notes: Vec::new(),
+            ..SourceInfo::new(
+                format!("made-up-{posts}"),
+                "memory",
+                [posts as u64, posts as u64],
+                SampleType::F32,
+            )
         };
         Square { info, affine }
     }
 
     fn ingest(self, name: &str, accuracy_m: f64) -> Change {
         Change::Ingest(Ingest {
-            sources: vec![Box::new(self)],
             name: Some(name.into()),
-            into: None,
             accuracy_m: Some(accuracy_m),
-            date: None,
-            precedence: None,
-            vertical_unit_m: None,
-            vertical_datum: None,
-            crs: None,
-            datum: Default::default(),
-            lattice: None,
-            step: None,
+            ..Ingest::new(vec![Box::new(self)])
         })
     }
 }

@@ -17,18 +17,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (stop, quiet) = (AtomicBool::new(false), |_: &str, _: f64| ());
     for (date, accuracy_m) in [("2000-09-25", 2.0), ("2004-10-13", 0.5)] {
         let ingest = Ingest {
-            sources: vec![terraquilt::format::open(&data.join(format!("survey_{date}_native.tif")))?],
             name: Some(format!("helens {date}")),
-            into: None,
             accuracy_m: Some(accuracy_m),
             date: Some(Date::parse(date)?),
-            precedence: None,
-            vertical_unit_m: None,
-            vertical_datum: None,
-            crs: None,
-            datum: Default::default(),
-            step: None,
-            lattice: None,
+            ..Ingest::new(vec![terraquilt::format::open(&data.join(format!("survey_{date}_native.tif")))?])
         };
         let progress = Progress { report: &quiet, stop: &stop };
         let done = db.change(Change::Ingest(ingest), None, false, &progress, &mut || ())?;

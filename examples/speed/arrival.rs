@@ -56,18 +56,10 @@ fn milliseconds(since: Instant) -> f64 {
 
 fn ingest(file: &str) -> Result<Ingest> {
     Ok(Ingest {
-        sources: vec![format::open(Path::new(file))?],
         name: Some(NAME.to_string()),
-        into: None,
         accuracy_m: Some(0.5),
         date: Some(terraquilt::base::date::Date::parse("2026-01-01")?),
-        precedence: None,
-        vertical_unit_m: None,
-        vertical_datum: None,
-        crs: None,
-        datum: Default::default(),
-        step: None,
-        lattice: None,
+        ..Ingest::new(vec![format::open(Path::new(file))?])
     })
 }
 

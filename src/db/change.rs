@@ -54,6 +54,26 @@ pub struct Ingest {
     pub step: Option<[f64; 2]>,
 }
 
+impl Ingest {
+    /// Files of which nothing is said beyond what they say themselves.
+    pub fn new(sources: Vec<Box<dyn HeightSource>>) -> Ingest {
+        Ingest {
+            sources,
+            name: None,
+            into: None,
+            accuracy_m: None,
+            date: None,
+            precedence: None,
+            vertical_unit_m: None,
+            vertical_datum: None,
+            crs: None,
+            datum: DatumChoice::default(),
+            lattice: None,
+            step: None,
+        }
+    }
+}
+
 /// What to commit.
 pub enum Change {
     Ingest(Ingest),

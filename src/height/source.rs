@@ -21,39 +21,14 @@ pub enum SampleType {
 /// Does something once for a sample type: `T` is the type of number that the samples are.
 macro_rules! each_type {
     ($type:expr, $t:ident => $body:block) => {
+        each_type!(@ $type, $t, $body, U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, F32 f32, F64 f64)
+    };
+    (@ $type:expr, $t:ident, $body:block, $($name:ident $number:ty),*) => {
         match $type {
-            SampleType::U8 => {
-                type $t = u8;
+            $(SampleType::$name => {
+                type $t = $number;
                 $body
-            }
-            SampleType::I8 => {
-                type $t = i8;
-                $body
-            }
-            SampleType::U16 => {
-                type $t = u16;
-                $body
-            }
-            SampleType::I16 => {
-                type $t = i16;
-                $body
-            }
-            SampleType::U32 => {
-                type $t = u32;
-                $body
-            }
-            SampleType::I32 => {
-                type $t = i32;
-                $body
-            }
-            SampleType::F32 => {
-                type $t = f32;
-                $body
-            }
-            SampleType::F64 => {
-                type $t = f64;
-                $body
-            }
+            })*
         }
     };
 }
@@ -222,6 +197,34 @@ pub struct SourceInfo {
     pub product: Option<&'static str>,
     /// Things a user should know (several bands: the first is read; CRS taken from ...).
     pub notes: Vec<String>,
+}
+
+impl SourceInfo {
+    /// A grid of metres of which nothing else is known; `size`: columns and rows.
+    pub fn new(
+        file: impl Into<String>,
+        format: &'static str,
+        size: [u64; 2],
+        sample_type: SampleType,
+    ) -> SourceInfo {
+        SourceInfo {
+            file: file.into(),
+            format,
+            cols: size[0],
+            rows: size[1],
+            sample_type,
+            affine: None,
+            crs: None,
+            nodata: None,
+            scale: 1.0,
+            offset: 0.0,
+            vertical_datum: None,
+            vertical_unit_m: None,
+            accuracy_m: None,
+            product: None,
+            notes: Vec::new(),
+        }
+    }
 }
 
 /// A grid of samples that can be read in windows, in any order, any number of times.

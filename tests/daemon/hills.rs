@@ -28,18 +28,10 @@ pub fn file(name: &str) -> PathBuf {
 pub fn arrival(which: usize) -> Change {
     let (path, name, accuracy, date) = SURVEYS[which];
     Change::Ingest(Ingest {
-        sources: vec![format::open(&file(path)).unwrap()],
         name: Some(name.into()),
-        into: None,
         accuracy_m: Some(accuracy),
         date: Some(Date::parse(date).unwrap()),
-        precedence: None,
-        vertical_unit_m: None,
-        vertical_datum: None,
-        crs: None,
-        datum: Default::default(),
-        step: None,
-        lattice: None,
+        ..Ingest::new(vec![format::open(&file(path)).unwrap()])
     })
 }
 

@@ -47,18 +47,10 @@ impl Said {
 
     fn offline(&self, db: &Db) {
         let ingest = Ingest {
-            sources: vec![format::open(&self.file).unwrap()],
             name: Some(self.name.clone()),
-            into: None,
             accuracy_m: Some(self.accuracy_m),
             date: Some(Date::parse(&self.date).unwrap()),
-            precedence: None,
-            vertical_unit_m: None,
-            vertical_datum: None,
-            crs: None,
-            datum: Default::default(),
-            lattice: None,
-            step: None,
+            ..Ingest::new(vec![format::open(&self.file).unwrap()])
         };
         let stop = AtomicBool::new(false);
         let progress = Progress { report: &|_, _| (), stop: &stop };

@@ -21,18 +21,10 @@ fn survey(date: &str, accuracy_m: f64) -> Change {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/st_helens");
     let source = terraquilt::format::open(&data.join(format!("survey_{date}_native.tif"))).unwrap();
     Change::Ingest(Ingest {
-        sources: vec![source],
         name: Some(date.into()),
-        into: None,
         accuracy_m: Some(accuracy_m),
         date: Some(Date::parse(date).unwrap()),
-        precedence: None,
-        vertical_unit_m: None,
-        vertical_datum: None,
-        crs: None,
-        datum: Default::default(),
-        step: None,
-        lattice: None,
+        ..Ingest::new(vec![source])
     })
 }
 

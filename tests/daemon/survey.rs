@@ -135,25 +135,13 @@ pub fn offline(db: &Db, k: usize) {
 pub fn offline_hills(db: &Db, s: &Survey) {
     let (h, g) = (&s.header, &s.header.grids[0]);
     let info = SourceInfo {
-        file: g.name.clone(),
-        format: "memory",
-        cols: g.cols,
-        rows: g.rows,
-        sample_type: SampleType::F32,
         affine: Some(Affine {
             origin: [g.x, g.y],
             col_step: [g.col_dx, g.col_dy],
             row_step: [g.row_dx, g.row_dy],
         }),
         crs: Some(db.crs().clone()),
-        nodata: None,
-        scale: 1.0,
-        offset: 0.0,
-        vertical_datum: None,
-        vertical_unit_m: None,
-        accuracy_m: None,
-        product: None,
-        notes: Vec::new(),
+        ..SourceInfo::new(g.name.clone(), "memory", [g.cols, g.rows], SampleType::F32)
     };
     let source = Memory { info, rows: s.grids[0].clone() };
     ingest(db, &h.name, &h.date, h.accuracy_m.unwrap(), Box::new(source));
@@ -182,18 +170,10 @@ impl HeightSource for Memory {
 
 fn ingest(db: &Db, name: &str, date: &str, accuracy: f64, source: Box<dyn HeightSource>) {
     let request = Ingest {
-        sources: vec![source],
         name: Some(name.into()),
-        into: None,
         accuracy_m: Some(accuracy),
         date: Some(Date::parse(date).unwrap()),
-        precedence: None,
-        vertical_unit_m: None,
-        vertical_datum: None,
-        crs: None,
-        datum: Default::default(),
-        lattice: None,
-        step: None,
+        ..Ingest::new(vec![source])
     };
     change(db, Change::Ingest(request));
 }

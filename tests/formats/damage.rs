@@ -126,18 +126,10 @@ fn a_damaged_file_leaves_no_survey_behind() {
     let ingest = |path: &Path, name: &str| {
         let sources = vec![open(path)?];
         let request = Ingest {
-            sources,
             name: Some(name.to_string()),
-            into: None,
             accuracy_m: Some(1.0),
-            date: None,
-            precedence: None,
-            vertical_unit_m: None,
-            vertical_datum: None,
             crs: Some(scratch.db.crs().clone()),
-            datum: Default::default(),
-            step: None,
-            lattice: None,
+            ..Ingest::new(sources)
         };
         change(&scratch.db, Change::Ingest(request))
     };

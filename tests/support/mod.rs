@@ -90,21 +90,15 @@ impl Grid {
     pub fn source_in(&self, crs: &str) -> Box<dyn HeightSource> {
         Box::new(GridSource {
             info: SourceInfo {
-                file: format!("{}-{}-{}.mem", self.name, self.affine.origin[0], self.affine.origin[1]),
-                format: "memory",
-                cols: self.cols as u64,
-                rows: self.rows as u64,
-                sample_type: SampleType::F32,
                 affine: Some(self.affine),
                 crs: Some(Crs::parse(crs).unwrap()),
                 nodata: Some(f64::NAN),
-                scale: 1.0,
-                offset: 0.0,
-                vertical_datum: None,
-                vertical_unit_m: None,
-                accuracy_m: None,
-                product: None,
-                notes: Vec::new(),
+                ..SourceInfo::new(
+                    format!("{}-{}-{}.mem", self.name, self.affine.origin[0], self.affine.origin[1]),
+                    "memory",
+                    [self.cols as u64, self.rows as u64],
+                    SampleType::F32,
+                )
             },
             z: self.z.clone(),
         })
@@ -117,18 +111,10 @@ impl Grid {
     /// An ingest of tiles of this survey.
     pub fn tiles_of(&self, sources: Vec<Box<dyn HeightSource>>) -> Ingest {
         Ingest {
-            sources,
-            name: None,
-            into: None,
             accuracy_m: Some(self.accuracy),
             date: self.date,
             precedence: self.precedence,
-            vertical_unit_m: None,
-            vertical_datum: None,
-            crs: None,
-            datum: Default::default(),
-            step: None,
-            lattice: None,
+            ..Ingest::new(sources)
         }
     }
 }

@@ -141,35 +141,15 @@ fn survey(s: &mut u64, name: &str, side: u64) -> Ingest {
     let at = |v: f64, s: &mut u64| v + 600.0 * (random(s) - 0.5);
     let origin = [at(500_000.0, s), at(4_000_000.0, s)];
     let info = SourceInfo {
-        file: format!("{name}.mem"),
-        format: "memory",
-        cols: side,
-        rows: side / 2 + 40,
-        sample_type: SampleType::F32,
         affine: Some(Affine { origin, col_step: [c, n], row_step: [n, -c] }),
         crs: Some(Crs::parse("EPSG:32610").unwrap()),
-        nodata: None,
-        scale: 1.0,
-        offset: 0.0,
-        vertical_datum: None,
-        vertical_unit_m: None,
-        accuracy_m: None,
-        product: None,
-        notes: Vec::new(),
+        ..SourceInfo::new(format!("{name}.mem"), "memory", [side, side / 2 + 40], SampleType::F32)
     };
     Ingest {
-        sources: vec![Box::new(Hills { info, seed: s.wrapping_mul(31) })],
         name: Some(name.to_string()),
-        into: None,
         accuracy_m: Some([0.0, 0.3, 1.0][(3.0 * random(s)) as usize]),
-        date: None,
         precedence: Some((3.0 * random(s)) as i64),
-        vertical_unit_m: None,
-        vertical_datum: None,
-        crs: None,
-        datum: Default::default(),
-        step: None,
-        lattice: None,
+        ..Ingest::new(vec![Box::new(Hills { info, seed: s.wrapping_mul(31) })])
     }
 }
 

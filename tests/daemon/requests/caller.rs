@@ -47,20 +47,12 @@ impl Caller {
         let mut names = Vec::new();
         for (file, date) in surveys {
             let request = Ingest {
-                sources: vec![
-                    terraquilt::format::open(&data.join(file)).expect("a survey of the repository"),
-                ],
                 name: Some(date.into()),
-                into: None,
                 accuracy_m: Some(0.5),
                 date: terraquilt::base::date::Date::parse(date).ok(),
-                precedence: None,
-                vertical_unit_m: None,
-                vertical_datum: None,
-                crs: None,
-                datum: Default::default(),
-                step: None,
-                lattice: None,
+                ..Ingest::new(vec![
+                    terraquilt::format::open(&data.join(file)).expect("a survey of the repository"),
+                ])
             };
             let progress = Progress { report: &|_, _| {}, stop: &AtomicBool::new(false) };
             db.change(Change::Ingest(request), None, false, &progress, &mut || {}).expect("it is sound");
