@@ -442,7 +442,7 @@ fn the_bits_of_errors_ids_and_heights_are_kept() {
 }
 
 #[test]
-#[ignore = "writes tests/golden/v1-bicubic.txt, which is kept as it was released"]
+#[ignore = "writes tests/golden/v1-bicubic.txt, which is kept as it was released: cargo test --test main bicubic:: -- --ignored"]
 fn write_the_kept_bits() {
     let (found, kept) = kept_bits();
     std::fs::write(kept, found).unwrap();

@@ -267,7 +267,7 @@ fn the_same_bytes_on_any_number_of_threads() {
 }
 
 #[test]
-#[ignore = "writes tests/golden/v3; once released, it is kept as it was"]
+#[ignore = "writes tests/golden/v3; once released, it is kept as it was: cargo test --test main make_the_golden_database -- --ignored"]
 fn make_the_golden_database() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("db");

@@ -5,6 +5,7 @@ use super::commit::{Plan, Retiled};
 use super::database::{Db, Policy};
 use super::declare::{agree, crs_of, declare, fits, one_vertical_datum};
 use super::head::{Declaration, Head, Tile};
+use super::reader::stored;
 use super::resample::warp_of;
 use super::root::SurveyEntry;
 use super::tile::{Directory, write_tile};
@@ -177,8 +178,8 @@ impl Writing {
             for bj in both.j0..both.j1 {
                 for bi in both.i0..both.i1 {
                     let (Some((a, _)), Some((b, _))) = (new.get(bi, bj), old.get(bi, bj)) else { continue };
-                    let a = crate::height::block::decode(&layered.page(&a)?, &file_name(a.file))?;
-                    let b = crate::height::block::decode(&layered.page(&b)?, &file_name(b.file))?;
+                    let block = |at: &PageRef| stored(&layered, at, declaration.delivered().sample_type);
+                    let (a, b) = (block(&a)?, block(&b)?);
                     for r in a.row.max(b.row)..(a.row + a.rows).min(b.row + b.rows) {
                         for c in a.col.max(b.col)..(a.col + a.cols).min(b.col + b.cols) {
                             let ka = (r - a.row) * a.cols + c - a.col;

@@ -83,22 +83,26 @@ pub struct SampleReader<'a> {
     pub stamp: u64,
 }
 
+/// A block as stored.
+///
+/// # Errors
+/// If its samples are not of the declared type, though page and checksum are right.
+pub(super) fn stored(pages: &dyn Pages, at: &PageRef, declared: SampleType) -> Result<RawBlock> {
+    let raw = decode(&pages.page(at)?, &file_name(at.file))?;
+    if raw.sample_type != declared {
+        return Err(Error::corrupt(
+            file_name(at.file),
+            at.place(),
+            format!("holds {} samples, the survey has {}", raw.sample_type.name(), declared.name()),
+        ));
+    }
+    Ok(raw)
+}
+
 impl SampleReader<'_> {
     /// A block of posts or vertices as stored, of the survey's sample type.
     pub fn raw(&self, at: &PageRef) -> Result<RawBlock> {
-        self.stored(at, self.declaration.sample_type)
-    }
-
-    fn stored(&self, at: &PageRef, declared: SampleType) -> Result<RawBlock> {
-        let raw = decode(&self.pages.page(at)?, &file_name(at.file))?;
-        if raw.sample_type != declared {
-            return Err(Error::corrupt(
-                file_name(at.file),
-                at.place(),
-                format!("holds {} samples, the survey has {}", raw.sample_type.name(), declared.name()),
-            ));
-        }
-        Ok(raw)
+        stored(self.pages, at, self.declaration.sample_type)
     }
 
     /// Raw blocks of the tiles, least key first: laid in this order the greatest key wins.
@@ -107,7 +111,7 @@ impl SampleReader<'_> {
         let mut out = Vec::new();
         for (_, directory) in self.tiles.iter().rev() {
             if let Some((at, _)) = directory.get(bi, bj) {
-                out.push(self.stored(&at, declared)?);
+                out.push(stored(self.pages, &at, declared)?);
             }
         }
         Ok(out)

@@ -196,7 +196,7 @@ fn a_faultless_print_is_accepted() {
 
 /// The shapes of three surveys of the kit, as large as they are. Says how long the parts take.
 #[test]
-#[ignore = "large: some seconds"]
+#[ignore = "large, some seconds: cargo test --release --test main large_grids -- --ignored"]
 fn large_grids_take_seconds() {
     let turned = |metres: f64, degrees: f64| {
         let at = |a: f64| (metres * 2f64.powi(35) * a) as i64;
