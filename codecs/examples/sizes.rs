@@ -1,0 +1,44 @@
+//! Bits a sample and speeds of grids: `cargo run --release --example sizes -- PROFILE BOUND[,BOUND...] FILE...`.
+//!
+//! A file is two little-endian u32 (columns, rows) and columns x rows little-endian i32 heights.
+
+use std::time::Instant;
+use terraquilt_codecs::gtb::companion::Alone;
+use terraquilt_codecs::gtb::{Heights, Options, Profile, Stop, decode, encode};
+
+fn main() {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let [profile, layers, files @ ..] = args.as_slice() else {
+        eprintln!("usage: sizes cubic|adaptive BOUND[,BOUND...] FILE...");
+        std::process::exit(2);
+    };
+    let profile = if profile == "adaptive" { Profile::Adaptive } else { Profile::Cubic };
+    let layers: Vec<u32> = layers.split(',').map(|e| e.parse().expect("a bound")).collect();
+    println!("{:>12} {:>9} {:>8} {:>6} {:>9} {:>9}", "grid", "bytes", "bits", "error", "encode", "decode");
+    for file in files {
+        let bytes = std::fs::read(file).expect(file);
+        let number = |k: usize| u32::from_le_bytes([bytes[k], bytes[k + 1], bytes[k + 2], bytes[k + 3]]);
+        let (cols, rows) = (number(0) as usize, number(4) as usize);
+        let z: Vec<i32> = (0..cols * rows).map(|k| number(8 + 4 * k) as i32).collect();
+        let heights = Heights::new(cols, rows, z);
+        let options = Options { layers: layers.clone(), ..Options::new(profile, 0) };
+        let begun = Instant::now();
+        let encoded = encode(&heights, &options, &mut Alone, &mut |_| true).expect(file);
+        let encoding = begun.elapsed().as_secs_f64();
+        let begun = Instant::now();
+        let (mut body, mut going) = (Vec::new(), |_: f64| true);
+        let decoded = decode(&encoded.bytes, &mut body, Stop::End, None, &mut Alone, &mut going).expect(file);
+        let decoding = begun.elapsed().as_secs_f64();
+        assert!(decoded.complete && decoded.z == encoded.z, "{file}: what came out is not what went in");
+        let samples = (cols * rows) as f64;
+        let name = std::path::Path::new(file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        println!(
+            "{name:>12} {:>9} {:>8.3} {:>6} {:>6.1} M/s {:>6.1} M/s",
+            encoded.bytes.len(),
+            encoded.bytes.len() as f64 * 8.0 / samples,
+            encoded.error_max,
+            samples / encoding / 1e6,
+            samples / decoding / 1e6
+        );
+    }
+}

@@ -1,0 +1,81 @@
+//! Stream G2: every post, within a bound, from coarse to fine (specification of GTB, section 5).
+
+use super::companion::Companion;
+use super::encode::Profile;
+use super::field::{Field, Status};
+use super::header::Header;
+use crate::Result;
+use crate::range::Coder;
+
+mod adaptive;
+mod corners;
+mod cubic;
+mod refine;
+mod residual;
+
+/// Where a stream was left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reached {
+    /// The layer that was at work; their number when all are whole.
+    pub layer: usize,
+    /// Passes of it that are whole.
+    pub passes: u32,
+    /// Posts of the next pass that are known, in raster order.
+    pub posts: usize,
+    /// Whether the corners are known: without them there is no surface.
+    pub corners: bool,
+}
+
+impl Reached {
+    /// Nothing yet.
+    pub const NOTHING: Reached = Reached { layer: 0, passes: 0, posts: 0, corners: false };
+}
+
+/// Told of each pass that is whole, of a layer, by number: `false` stops there.
+pub(super) type Mark<'a, C> = &'a mut dyn FnMut(usize, u32, &C) -> Result<bool>;
+
+/// Both directions: an encoder gives the heights of the lattice as `source`, a decoder finds them in the field.
+pub(super) fn code<C: Coder, T: Companion<C>>(
+    header: &Header,
+    source: Option<&[i32]>,
+    field: &mut Field,
+    c: &mut C,
+    companion: &mut T,
+    mark: Mark<C>,
+) -> Result<Reached> {
+    if !corners::code(header, source, field, c) {
+        return Ok(Reached::NOTHING);
+    }
+    let first = match header.profile {
+        Profile::Adaptive => adaptive::code(header, source, field, c, companion, mark)?,
+        _ => cubic::code(header, source, field, c, companion, mark)?,
+    };
+    if first.passes < 2 * header.lattice.n() || c.ended() {
+        return Ok(first);
+    }
+    companion.finish(c);
+    if c.ended() {
+        return Ok(first);
+    }
+    for layer in 1..header.layers.len() {
+        let reached = refine::code(header, layer, source, field, c, mark)?;
+        if reached.passes < 2 * header.lattice.n() || c.ended() {
+            return Ok(reached);
+        }
+    }
+    Ok(Reached { layer: header.layers.len(), passes: 0, posts: 0, corners: true })
+}
+
+/// A height as the receiver of a layer of bound `e` has it, for a prediction `base`, and its number of steps from there
+/// (specification, section 5).
+#[inline(always)]
+pub(super) fn quantize(z: i32, base: i32, e: u32) -> i32 {
+    let step = 2 * e as i32 + 1;
+    (z.wrapping_sub(base).wrapping_add(e as i32)).div_euclid(step)
+}
+
+/// Whether a post's height travels.
+#[inline(always)]
+pub(super) fn is_coded(field: &Field, at: usize) -> bool {
+    field.status.is_empty() || field.status[at] == Status::Coded
+}

@@ -1,0 +1,375 @@
+//! The head of a file, and the blocks that carry the body (drawing: docs/gtb-format.md).
+
+use super::encode::Profile;
+use super::heights::Place;
+use crate::lattice::{Lattice, N_MAX};
+use crate::{Error, Result};
+
+/// First bytes of a file. The high bit, the line ends and the stop character show transfers that change bytes.
+pub const MAGIC: [u8; 8] = *b"\x89GTB\r\n\x1a\n";
+/// The version that is written.
+pub const VERSION: u8 = 1;
+/// Bytes of the body between two checksums.
+pub const BLOCK: usize = 16 << 10;
+/// Longest head.
+pub const HEADER_BYTES_MAX: usize = 16 << 10;
+/// Layers at most.
+pub const LAYERS_MAX: usize = 8;
+/// Greatest bound of a layer, in units.
+pub const BOUND_MAX: u32 = 1 << 20;
+
+/// The head of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// Posts in a row, and rows: the north-west part of the lattice.
+    pub cols: usize,
+    /// Rows.
+    pub rows: usize,
+    /// The lattice is 2^n + 1 posts a side.
+    pub lattice: Lattice,
+    /// How heights are coded.
+    pub profile: Profile,
+    /// Bounds E of the layers in units, coarse to fine; of [`Profile::Sparse`] the step of heights alone.
+    pub layers: Vec<u32>,
+    /// Whether a mask of voids is coded.
+    pub mask: bool,
+    /// Whether a texture travels along: n of its cells, 2^n a side over the lattice's square.
+    pub texture: Option<u32>,
+    /// Whether the posts of some area are known to the receiver already and are left out: a number that names that state.
+    pub given: Option<u64>,
+    /// Where the heights lie.
+    pub place: Place,
+    /// Of the first layer: the greatest error in units of any prefix that ends in pass k, k from 0 to 2n - 1, and when all are whole.
+    pub bounds: Vec<u32>,
+    /// Bytes of the body without checksums.
+    pub body: u64,
+}
+
+struct Writer(Vec<u8>);
+
+impl Writer {
+    fn varint(&mut self, mut v: u64) {
+        while v >= 128 {
+            self.0.push(v as u8 | 128);
+            v >>= 7;
+        }
+        self.0.push(v as u8);
+    }
+    fn real(&mut self, v: f64) {
+        self.0.extend_from_slice(&v.to_le_bytes());
+    }
+    fn text(&mut self, t: &str) {
+        self.varint(t.len() as u64);
+        self.0.extend_from_slice(t.as_bytes());
+    }
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn byte(&mut self) -> Result<u8> {
+        let b = self.bytes.get(self.at).copied();
+        self.at += 1;
+        b.ok_or_else(|| Error::damaged("head", "its fields are longer than it says; fetch the file again"))
+    }
+    fn varint(&mut self) -> Result<u64> {
+        let mut v = 0;
+        for k in 0..10 {
+            let b = self.byte()?;
+            v |= u64::from(b & 127).checked_shl(7 * k).unwrap_or(0);
+            if b < 128 {
+                return Ok(v);
+            }
+        }
+        Err(Error::damaged("head", "a number of more than ten bytes"))
+    }
+    fn real(&mut self) -> Result<f64> {
+        let mut eight = [0; 8];
+        for b in &mut eight {
+            *b = self.byte()?;
+        }
+        Ok(f64::from_le_bytes(eight))
+    }
+    fn text(&mut self) -> Result<String> {
+        let n = self.varint()?;
+        if n > HEADER_BYTES_MAX as u64 {
+            return Err(Error::damaged(
+                "head",
+                format!("a text of {n} bytes, {HEADER_BYTES_MAX} are allowed"),
+            ));
+        }
+        let bytes = (0..n).map(|_| self.byte()).collect::<Result<Vec<u8>>>()?;
+        String::from_utf8(bytes).map_err(|_| Error::damaged("head", "a text that is not UTF-8"))
+    }
+}
+
+const MASK: u8 = 1;
+const TEXTURE: u8 = 2;
+const GIVEN: u8 = 4;
+const TURNED: u8 = 8;
+
+impl Header {
+    /// The bytes of the head: magic, version, length, fields, CRC-32C.
+    pub fn bytes(&self) -> Vec<u8> {
+        let t = &self.place.transform;
+        let turned = t[2] != 0.0 || t[4] != 0.0;
+        let flag = |on: bool, f: u8| if on { f } else { 0 };
+        let mut w = Writer(MAGIC.to_vec());
+        w.0.push(VERSION);
+        w.0.push(0);
+        w.0.push(0);
+        w.0.push(self.profile.code());
+        w.0.push(
+            flag(self.mask, MASK)
+                | flag(self.texture.is_some(), TEXTURE)
+                | flag(self.given.is_some(), GIVEN)
+                | flag(turned, TURNED),
+        );
+        w.0.push(self.lattice.n() as u8);
+        w.varint(self.cols as u64);
+        w.varint(self.rows as u64);
+        w.0.push(self.layers.len() as u8);
+        self.layers.iter().for_each(|e| w.varint(u64::from(*e)));
+        if let Some(n) = self.texture {
+            w.0.push(n as u8);
+        }
+        if let Some(state) = self.given {
+            w.0.extend_from_slice(&state.to_le_bytes());
+        }
+        let p = &self.place;
+        [p.unit, p.base, p.given_error, t[0], t[1], t[3], t[5]].into_iter().for_each(|v| w.real(v));
+        if turned {
+            w.real(t[2]);
+            w.real(t[4]);
+        }
+        [&p.crs, &p.vertical, &p.source].into_iter().for_each(|t| w.text(t));
+        self.bounds.iter().for_each(|b| w.varint(u64::from(*b)));
+        w.varint(self.body);
+        let len = (w.0.len() + 4) as u16;
+        w.0[9..11].copy_from_slice(&len.to_le_bytes());
+        let crc = crc32c::crc32c(&w.0);
+        w.0.extend_from_slice(&crc.to_le_bytes());
+        w.0
+    }
+
+    /// Reads the head of a file or of a prefix of one. Returns it and its length.
+    pub fn read(bytes: &[u8]) -> Result<(Header, usize)> {
+        let seen = bytes.len().min(MAGIC.len());
+        if bytes[..seen] != MAGIC[..seen] {
+            return Err(Error::damaged("head", "this is no GTB file: its first bytes are others"));
+        }
+        if bytes.len() < 11 {
+            return Err(Error::Short { what: "head", needs: 11, has: bytes.len() as u64 });
+        }
+        if bytes[8] != VERSION {
+            return Err(Error::damaged(
+                "head",
+                format!(
+                    "version {} of GTB, this program reads version {VERSION}; take a newer program",
+                    bytes[8]
+                ),
+            ));
+        }
+        let len = usize::from(u16::from_le_bytes([bytes[9], bytes[10]]));
+        if !(16..=HEADER_BYTES_MAX).contains(&len) {
+            return Err(Error::damaged(
+                "head",
+                format!("a head of {len} bytes, 16 to {HEADER_BYTES_MAX} are allowed"),
+            ));
+        }
+        let Some(head) = bytes.get(..len) else {
+            return Err(Error::Short { what: "head", needs: len as u64, has: bytes.len() as u64 });
+        };
+        let (fields, crc) = head.split_at(len - 4);
+        let stored = u32::from_le_bytes([crc[0], crc[1], crc[2], crc[3]]);
+        let found = crc32c::crc32c(fields);
+        if stored != found {
+            return Err(Error::damaged(
+                "head",
+                format!("its checksum is {found:08x}, {stored:08x} was stored; fetch the file again"),
+            ));
+        }
+        Header::fields(fields).map(|h| (h, len))
+    }
+
+    fn fields(bytes: &[u8]) -> Result<Header> {
+        let mut r = Reader { bytes, at: 11 };
+        let profile = Profile::of_code(r.byte()?)?;
+        let flags = r.byte()?;
+        if flags >= 16 {
+            return Err(Error::damaged(
+                "head",
+                format!("flags {flags:#x} are unknown; take a newer program"),
+            ));
+        }
+        let n = u32::from(r.byte()?);
+        let lattice = Lattice::new(n).ok_or(Error::Limit {
+            what: "n of the lattice",
+            limit: u64::from(N_MAX),
+            wanted: u64::from(n),
+        })?;
+        let side = lattice.side() as u64;
+        let (cols, rows) = (r.varint()?, r.varint()?);
+        if cols == 0 || rows == 0 || cols > side || rows > side {
+            return Err(Error::damaged(
+                "head",
+                format!("{cols} x {rows} posts in a lattice of {side} a side"),
+            ));
+        }
+        let count = usize::from(r.byte()?);
+        if count == 0 || count > LAYERS_MAX {
+            return Err(Error::Limit { what: "layers", limit: LAYERS_MAX as u64, wanted: count as u64 });
+        }
+        let layers = (0..count)
+            .map(|_| match r.varint()? {
+                e if e <= u64::from(BOUND_MAX) => Ok(e as u32),
+                e => Err(Error::Limit { what: "bound of a layer", limit: u64::from(BOUND_MAX), wanted: e }),
+            })
+            .collect::<Result<Vec<u32>>>()?;
+        check_layers(profile, &layers)?;
+        let texture = (flags & TEXTURE != 0).then(|| r.byte().map(u32::from)).transpose()?;
+        if let Some(n) = texture.filter(|n| *n > N_MAX) {
+            return Err(Error::Limit {
+                what: "n of the texture",
+                limit: u64::from(N_MAX),
+                wanted: u64::from(n),
+            });
+        }
+        let given = if flags & GIVEN != 0 {
+            let mut eight = [0; 8];
+            for b in &mut eight {
+                *b = r.byte()?;
+            }
+            Some(u64::from_le_bytes(eight))
+        } else {
+            None
+        };
+        let mut reals = [0.0; 7];
+        for v in &mut reals {
+            *v = r.real()?;
+        }
+        let turn = if flags & TURNED != 0 { [r.real()?, r.real()?] } else { [0.0; 2] };
+        let [unit, base, given_error, x0, dx, y0, dy] = reals;
+        if reals.iter().chain(&turn).any(|v| !v.is_finite()) || unit <= 0.0 || given_error < 0.0 {
+            return Err(Error::damaged(
+                "head",
+                format!("unit {unit}, base {base}, error {given_error} or place make no sense"),
+            ));
+        }
+        let place = Place {
+            unit,
+            base,
+            given_error,
+            transform: [x0, dx, turn[0], y0, turn[1], dy],
+            crs: r.text()?,
+            vertical: r.text()?,
+            source: r.text()?,
+        };
+        let bounds = (0..=2 * n)
+            .map(|_| {
+                let b = r.varint()?;
+                u32::try_from(b).map_err(|_| Error::damaged("head", format!("an error of {b} units")))
+            })
+            .collect::<Result<Vec<u32>>>()?;
+        let body = r.varint()?;
+        if r.at != bytes.len() {
+            return Err(Error::damaged(
+                "head",
+                format!("its fields end at byte {}, it at {}", r.at, bytes.len()),
+            ));
+        }
+        let mask = flags & MASK != 0;
+        let (cols, rows) = (cols as usize, rows as usize);
+        Ok(Header { cols, rows, lattice, profile, layers, mask, texture, given, place, bounds, body })
+    }
+
+    /// The greatest error in units of a prefix that holds so many passes of a layer, wholly or with a part of the next.
+    pub fn bound(&self, layer: usize, passes: u32) -> u32 {
+        let whole = passes >= 2 * self.lattice.n();
+        match (layer, whole) {
+            (0, _) => self.bounds.get(passes as usize).or(self.bounds.last()).copied().unwrap_or(0),
+            (_, true) => self.layers[layer.min(self.layers.len() - 1)],
+            (_, false) => self.bound(layer - 1, u32::MAX),
+        }
+    }
+
+    /// The byte of the file at which a byte of the body lies, behind a head of `head` bytes.
+    pub fn file_position(&self, head: usize, at: usize) -> u64 {
+        (head + at + 4 * at.div_ceil(BLOCK)) as u64
+    }
+}
+
+/// Refuses layers that cannot refine each other: 2E + 1 of each must be an odd multiple, of at least three, of the next.
+pub(super) fn check_layers(profile: Profile, layers: &[u32]) -> Result<()> {
+    if layers.is_empty() || layers.len() > LAYERS_MAX || layers.iter().any(|e| *e > BOUND_MAX) {
+        return Err(Error::invalid(
+            "layers",
+            format!("{layers:?}; 1 to {LAYERS_MAX} bounds up to {BOUND_MAX}"),
+        ));
+    }
+    if matches!(profile, Profile::Sparse) && layers.len() > 1 {
+        return Err(Error::invalid("layers", "the sparse stream has one; name one bound"));
+    }
+    for pair in layers.windows(2) {
+        let (coarse, fine) = (2 * pair[0] + 1, 2 * pair[1] + 1);
+        if pair[1] >= pair[0] || coarse % fine != 0 || coarse / fine > 255 {
+            return Err(Error::invalid(
+                "layers",
+                format!(
+                    "{} after {}: 2E + 1 must divide ({fine} into {coarse}), as in 13,4,1,0 or 40,13,4,1,0",
+                    pair[1], pair[0]
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The body with a CRC-32C after each [`BLOCK`] bytes, and after the last.
+pub(super) fn blocks(body: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(body.len() + 4 * body.len().div_ceil(BLOCK));
+    for block in body.chunks(BLOCK) {
+        out.extend_from_slice(block);
+        out.extend_from_slice(&crc32c::crc32c(block).to_le_bytes());
+    }
+    out
+}
+
+/// What can be read of a body.
+pub(super) struct Body {
+    pub bytes: Vec<u8>,
+    /// Nothing is missing behind the bytes.
+    pub whole: bool,
+    /// A block with a wrong checksum, by the place of its first byte in the body: it and all behind it are left out.
+    pub damaged: Option<u64>,
+}
+
+/// The body of a file of which `bytes` follow the head. The bytes of a last block that is cut are taken as they are.
+pub(super) fn unblocked(bytes: &[u8], body: u64) -> Body {
+    let mut out = Body { bytes: Vec::new(), whole: true, damaged: None };
+    let mut left = body;
+    let mut at = 0;
+    while left > 0 {
+        let n = left.min(BLOCK as u64) as usize;
+        let rest = &bytes[at.min(bytes.len())..];
+        if let Some(four) = rest.get(n..n + 4) {
+            let stored = u32::from_le_bytes([four[0], four[1], four[2], four[3]]);
+            if crc32c::crc32c(&rest[..n]) != stored {
+                out.damaged = Some(body - left);
+                out.whole = false;
+                break;
+            }
+            out.bytes.extend_from_slice(&rest[..n]);
+        } else {
+            out.bytes.extend_from_slice(&rest[..n.min(rest.len())]);
+            out.whole = false;
+            break;
+        }
+        at += n + 4;
+        left -= n as u64;
+    }
+    out
+}

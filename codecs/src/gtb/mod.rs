@@ -1,0 +1,29 @@
+//! The geometric-textured bitree (GTB): heights on a square lattice and the texture over them, in one stream that may be cut at
+//! any byte. Every prefix is a whole surface without cracks, with a bound on its error.
+//!
+//! Specification of GTB; after Abdelguerfi and others, "Geometric-Textured Bitree".
+//!
+//! - [`heights`]: heights as integers, voids, where they lie
+//! - [`header`]: the head of a file, and its blocks with checksums
+//! - [`companion`]: what travels between the heights: the texture
+//! - [`encode()`], [`decode()`]: the doors
+
+mod bounds;
+pub mod companion;
+mod decode;
+mod dense;
+mod encode;
+mod field;
+pub mod header;
+pub mod heights;
+mod mask;
+mod sparse;
+pub mod surface;
+pub mod texture;
+
+pub use decode::{Decoded, Stop, decode};
+pub use dense::Reached;
+pub use encode::{Encoded, Options, PassEnd, Profile, encode};
+pub use field::Given;
+pub use header::Header;
+pub use heights::{Heights, Place};

@@ -1,0 +1,19 @@
+//! Terrain and its texture, packed: what a sender and a browser share.
+//!
+//! Nothing here knows files, threads, clocks, databases or coordinate systems: integers and bytes in, bytes and integers out. The
+//! crate uses no `unsafe` and builds for `wasm32-unknown-unknown`.
+//!
+//! - [`range`]: the range coder and its adaptive models
+//! - [`lattice`]: the square lattice of 2^n + 1 posts a side, its passes from coarse to fine
+//! - [`lifting`]: wavelets by lifting, on posts and on cells
+//! - [`gtb`]: the geometric-textured bitree
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod error;
+pub mod gtb;
+pub mod lattice;
+pub mod lifting;
+pub mod range;
+
+pub use error::{Error, Result};

@@ -1,0 +1,1 @@
+//! Grids for tests: seeded terrain, and real ones of the repository's fixtures.
