@@ -2,16 +2,6 @@
 
 use crate::range::{Bit, Coder};
 
-/// What lies around a post, by which its residual is guessed.
-pub(super) struct Around {
-    /// Magnitudes of the residuals of the four nearest posts, in quarters of a unit.
-    pub near: [u32; 4],
-    /// Of the posts of the same pass to the west and north.
-    pub own: [u32; 4],
-    /// Greatest less least height of the four nearest.
-    pub spread: u32,
-}
-
 /// Classes of expected magnitude.
 const CLASSES: usize = 64;
 /// Parts of a unit that a prediction may lie from the middle, folded to one side.
@@ -21,7 +11,8 @@ const SIZES: usize = 26;
 
 /// The models of residuals.
 pub(super) struct Residuals {
-    step: u32,
+    /// 2^33 / (2E + 1).
+    per_step: u64,
     exact: bool,
     zero: Vec<Bit>,
     sign: Vec<Bit>,
@@ -33,7 +24,7 @@ impl Residuals {
     /// Models for a bound `e`.
     pub fn new(e: u32) -> Residuals {
         Residuals {
-            step: 2 * e + 1,
+            per_step: (1 << 33) / u64::from(2 * e + 1),
             exact: e < 3,
             zero: vec![Bit::default(); CLASSES * PARTS],
             sign: vec![Bit::default(); CLASSES * PARTS],
@@ -42,25 +33,30 @@ impl Residuals {
         }
     }
 
-    /// Codes `q` steps of 2E + 1 units; `part` is 32 times what the prediction lies above the middle of step 0, -16 to 15.
-    pub fn code<C: Coder>(&mut self, c: &mut C, around: &Around, part: i32, q: i32) -> i32 {
-        let near: u32 = around.near.iter().sum();
-        let own: u32 = around.own.iter().sum();
-        // In 32nds of a unit.
-        let activity = (near * 2 + own * 4) + around.spread * 6 / 2;
-        let class = class(activity * 2 / self.step + 1);
-        let flip = part < 0;
-        let part = if self.exact { (part.unsigned_abs() as usize * PARTS / 17).min(PARTS - 1) } else { 0 };
-        let q = if flip { -q } else { q };
-        let v = self.magnitude(c, class, part, q);
-        if flip { -v } else { v }
+    /// Codes `q` steps of 2E + 1 units. `activity`: what is expected, in 32nds of a unit; `part`: 32 times what the prediction lies
+    /// above the middle of step 0, -16 to 15.
+    #[inline(always)]
+    pub fn code<C: Coder>(&mut self, c: &mut C, activity: u32, part: i32, q: i32) -> i32 {
+        let class = class(((u64::from(activity) * self.per_step) >> 32) as u32 + 1);
+        if !self.exact {
+            return self.magnitude(c, class, 0, q);
+        }
+        let fold = (part.unsigned_abs() as usize * PARTS / 17).min(PARTS - 1);
+        let v = self.magnitude(c, class, fold, if part < 0 { -q } else { q });
+        if part < 0 { -v } else { v }
     }
 
+    #[inline(always)]
     fn magnitude<C: Coder>(&mut self, c: &mut C, class: usize, part: usize, q: i32) -> i32 {
         let at = class * PARTS + part;
         if c.learn(&mut self.zero[at], q == 0) {
             return 0;
         }
+        self.beyond(c, class, at, q)
+    }
+
+    /// A number that is not zero.
+    fn beyond<C: Coder>(&mut self, c: &mut C, class: usize, at: usize, q: i32) -> i32 {
         let negative = c.learn(&mut self.sign[at], q < 0);
         let m = q.unsigned_abs();
         let size = 31 - m.max(1).leading_zeros();
