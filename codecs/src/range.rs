@@ -44,10 +44,10 @@ pub struct Bit {
 }
 
 /// How much of the difference a decision takes, in 65536ths, after 0, 1, 2 ... decisions; the last holds from then on.
-const RATES: [u32; 48] = rates();
+const RATES: [u32; 128] = rates();
 
-const fn rates() -> [u32; 48] {
-    let mut out = [0; 48];
+const fn rates() -> [u32; 128] {
+    let mut out = [0; 128];
     let mut k = 0;
     while k < out.len() {
         out[k] = 131_072 / (2 * k as u32 + 3);
