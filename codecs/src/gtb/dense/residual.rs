@@ -82,27 +82,20 @@ impl Residuals {
         let m = q.unsigned_abs();
         let size = 31 - m.max(1).leading_zeros();
         let mut k = 0;
-        let part = at % PARTS;
-        let _ = part;
-        let part = at % PARTS;
-        let _ = part;
-        let sizes = class;
-        while (k as usize) < SIZES - 1 && c.learn(&mut self.size[sizes * SIZES + k as usize], size > k) {
+        while (k as usize) < SIZES - 1 && c.learn(&mut self.size[class * SIZES + k as usize], size > k) {
             k += 1;
         }
+        // The two highest bits below the first are learnt, the others are as likely as not.
+        let within = &mut self.within[(class * SIZES + k as usize) * 4..][..4];
         let mut v = 1u32;
         for b in (0..k).rev() {
             let bit = m >> b & 1 == 1;
-            let depth = k - 1 - b;
-            v = v << 1
-                | u32::from(match depth {
-                    0 => c.learn(&mut self.within[(class * SIZES + k as usize) * 4], bit),
-                    1 => c.learn(
-                        &mut self.within[(class * SIZES + k as usize) * 4 + 1 + (v & 1) as usize],
-                        bit,
-                    ),
-                    _ => c.bit(1 << 15, bit),
-                });
+            let bit = match k - 1 - b {
+                0 => c.learn(&mut within[0], bit),
+                1 => c.learn(&mut within[1 + (v & 1) as usize], bit),
+                _ => c.bit(1 << 15, bit),
+            };
+            v = v << 1 | u32::from(bit);
         }
         if negative { -(v as i32) } else { v as i32 }
     }
