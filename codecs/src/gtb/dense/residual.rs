@@ -102,6 +102,7 @@ impl Residuals {
 }
 
 /// Four classes an octave.
+#[inline(always)]
 fn class(v: u32) -> usize {
     let size = 31 - v.max(1).leading_zeros();
     let low = if size >= 2 { v >> (size - 2) & 3 } else { v << (2 - size) & 3 };
