@@ -8,6 +8,7 @@
 //! - [`companion`]: what travels between the heights: the texture
 //! - [`encode()`], [`decode()`]: the doors
 
+pub mod bitree;
 mod bounds;
 pub mod companion;
 mod decode;
