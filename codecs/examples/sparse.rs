@@ -19,6 +19,10 @@ fn main() {
         let heights = Heights::new(cols, rows, z);
         let name = std::path::Path::new(&file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let ground = Ground::new(&heights).expect(&file);
+        if std::env::var("SIZES").is_ok() {
+            sizes(&name, &heights, &ground);
+            continue;
+        }
         for part in [0.01, 0.1, 0.75] {
             for rule in RULES {
                 let posts = (part * (cols * rows) as f64).round() as usize;
@@ -37,5 +41,28 @@ fn main() {
                 );
             }
         }
+    }
+}
+
+#[allow(dead_code)]
+fn sizes(name: &str, heights: &Heights, ground: &Ground) {
+    use terraquilt_codecs::gtb::companion::Alone;
+    use terraquilt_codecs::gtb::{Options, Profile, Stop, decode, encode};
+    let cells = ((heights.cols * heights.rows) as f64).sqrt().floor().powi(2);
+    for (part, step) in [(0.01, 1), (0.01, 8), (0.1, 1), (0.75, 1)] {
+        let posts = (part * cells).round() as usize;
+        let selected = RULES[3].select(ground, Until::Posts(posts));
+        let options = Options { selected: Some(&selected), ..Options::new(Profile::Sparse, step) };
+        let encoded = encode(heights, &options, &mut Alone, &mut |_| true).unwrap();
+        let (mut body, mut going) = (Vec::new(), |_: f64| true);
+        let decoded = decode(&encoded.bytes, &mut body, Stop::End, None, &mut Alone, &mut going).unwrap();
+        assert!(decoded.complete && decoded.z == encoded.z);
+        let bits = encoded.bytes.len() as f64 * 8.0;
+        println!(
+            "{name} {} % step {step}: {:.4} bpp, {:.2} bits a post",
+            part * 100.0,
+            bits / cells,
+            bits / posts as f64
+        );
     }
 }
