@@ -48,7 +48,7 @@ const fn logit() -> [i16; 4096] {
 }
 
 /// Decisions seen after which a [`Count`] learns no slower.
-const SEEN_MAX: u32 = 400;
+const SEEN_MAX: u32 = 250;
 
 /// The probability of a one in a context: 22 bits, and in the low 10 how many decisions were seen.
 #[derive(Clone, Copy)]
