@@ -62,6 +62,11 @@ impl Bit {
         Bit { p, seen: 0 }
     }
 
+    /// A model that expects a one with `p` of 65536 as if it had learnt that from `seen` decisions.
+    pub const fn known(p: u16, seen: u16) -> Bit {
+        Bit { p, seen }
+    }
+
     /// The probability of a one, `32..=65504`.
     #[inline(always)]
     pub fn p(&self) -> u32 {

@@ -2,13 +2,13 @@
 
 use super::companion::Companion;
 use super::encode::Profile;
-use super::field::Field;
+use super::field::{Field, Status};
 use super::header::Header;
 use crate::Result;
 use crate::range::Coder;
 
 mod adaptive;
-mod corners;
+pub(super) mod corners;
 mod cubic;
 mod planes;
 mod predict;
@@ -74,4 +74,10 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
 pub(super) fn quantize(z: i32, base: i32, e: u32) -> i32 {
     let step = 2 * e as i32 + 1;
     (z.wrapping_sub(base).wrapping_add(e as i32)).div_euclid(step)
+}
+
+/// Whether a post's height travels.
+#[inline(always)]
+fn is_coded(field: &Field, at: usize) -> bool {
+    field.status.is_empty() || field.status[at] == Status::Coded
 }

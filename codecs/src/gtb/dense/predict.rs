@@ -24,9 +24,9 @@ pub(super) struct Guess {
 pub(super) const MAGNITUDE_MAX: u32 = 65_535;
 
 /// Weights in the activity: magnitudes (quarters of a unit) of nearest posts, of posts of the pass, spread of the nearest (units).
-const NEAR: u32 = 2;
-pub(super) const OWN: u32 = 4;
-const SPREAD: u32 = 3;
+const NEAR: u32 = 1;
+pub(super) const OWN: u32 = 5;
+const SPREAD: u32 = 5;
 
 /// Predicts a row from heights and magnitudes of residuals.
 pub(super) fn predict(z: &Planes<i32>, r: &Planes<u16>, row: Row, guess: &mut Guess) {
