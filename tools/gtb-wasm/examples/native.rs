@@ -27,8 +27,8 @@ fn ground(cols: usize, rows: usize, voids: bool) -> Heights {
 fn streams(folder: &str) -> Any {
     for (name, profile, layers, cols, rows, voids) in [
         ("cubic", Profile::Cubic, vec![0], 513, 513, false),
-        ("cubic_layers_voids", Profile::Cubic, vec![1], 300, 201, true),
-        ("adaptive", Profile::Cubic, vec![1], 257, 257, false),
+        ("cubic_layers_voids", Profile::Cubic, vec![13, 4, 1, 0], 300, 201, true),
+        ("cubic_bound", Profile::Cubic, vec![1], 257, 257, false),
     ] {
         let options = Options { layers, ..Options::new(profile, 0) };
         let stream = encode(&ground(cols, rows, voids), &options, &mut Alone, &mut |_| true)?;
