@@ -72,16 +72,16 @@ impl Hull {
     /// The rows at half the step, one after the other, with their numbers.
     pub fn rows(&self, ground: &Ground, between: Between, take: &mut dyn FnMut(usize, &[i32], &[i32])) {
         let fine = 2 * self.side - 1;
-        let (mut low, mut high) = (vec![0; fine], vec![0; fine]);
+        let (mut low, mut high, mut diagonals) = (vec![0; fine], vec![0; fine], vec![0; fine]);
         for y in 0..fine {
             let at = y / 2 * self.side;
             if y % 2 == 0 {
                 even(&self.low[at..][..self.side], &mut low, 0);
                 even(&self.high[at..][..self.side], &mut high, 1);
             } else {
-                let odd_row = y / 2 % 2;
-                odd(&self.low[at..][..2 * self.side], &mut low, odd_row, 0);
-                odd(&self.high[at..][..2 * self.side], &mut high, odd_row, 1);
+                let odd_row = (y / 2 % 2) as u32;
+                odd(&self.low[at..][..2 * self.side], &mut low, &mut diagonals, odd_row, 0);
+                odd(&self.high[at..][..2 * self.side], &mut high, &mut diagonals, odd_row, 1);
             }
             self.settle(ground, between, y, &mut low, &mut high);
             take(y, &low, &high);
@@ -139,15 +139,18 @@ fn even(row: &[i32], out: &mut [i32], up: i32) {
 /// The row between two of the lattice, which follow each other in `rows`: midpoints of sides and of the diagonals that are
 /// hypotenuses (specification, section 1).
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn odd(rows: &[i32], out: &mut [i32], row_is_odd: usize, up: i32) {
+fn odd(rows: &[i32], out: &mut [i32], diagonals: &mut [i32], row_is_odd: u32, up: i32) {
     let n = rows.len() / 2 - 1;
     let (top, bottom) = rows.split_at(n + 1);
-    let cells = top.iter().zip(&top[1..]).zip(bottom.iter().zip(&bottom[1..]));
-    for (j, (two, ((a, b), (c, d)))) in out.chunks_exact_mut(2).zip(cells).enumerate() {
-        let main = a + d;
-        let anti = b + c;
+    let diagonals = &mut diagonals[..n];
+    let (left, right) = (top[..n].iter().zip(&bottom[..n]), top[1..].iter().zip(&bottom[1..]));
+    for (j, (m, ((a, c), (b, d)))) in diagonals.iter_mut().zip(left.zip(right)).enumerate() {
+        let (main, anti) = (a + d, b + c);
+        *m = (if (j as u32 ^ row_is_odd) & 1 == 0 { main } else { anti } + up) >> 1;
+    }
+    for (two, (m, (a, c))) in out.chunks_exact_mut(2).zip(diagonals.iter().zip(top.iter().zip(bottom))) {
         two[0] = (a + c + up) >> 1;
-        two[1] = (if (j + row_is_odd) % 2 == 0 { main } else { anti } + up) >> 1;
+        two[1] = *m;
     }
     out[2 * n] = (top[n] + bottom[n] + up) >> 1;
 }

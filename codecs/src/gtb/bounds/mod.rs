@@ -24,7 +24,7 @@ use crate::lattice::{Kind, Pass};
 use hull::{Between, FRACTION, Ground, Hull};
 use multiversion::multiversion;
 
-/// Posts along a side of a cell that is looked at as a whole.
+/// Distance of the corners of a cell that is looked at as a whole: two halvings.
 const FINE: usize = 4;
 /// Greatest magnitude in units that fixed point takes: heights with their error.
 const MAGNITUDE_MAX: u32 = (1 << 25) + (1 << 20);
@@ -141,6 +141,8 @@ struct Cells {
     cells: usize,
     above: Vec<i32>,
     below: Vec<i32>,
+    /// Every [`FINE`]-th post as it was decoded.
+    known: Hull,
 }
 
 /// The ends of the interval of heights less surface in a cell without any.
@@ -149,11 +151,10 @@ const EMPTY: i32 = -(1 << 30);
 impl Cells {
     fn new(all: &All) -> Cells {
         let cells = (all.ground.side - 1) / FINE;
-        let mut out = Cells { cells, above: vec![EMPTY; cells * cells], below: vec![EMPTY; cells * cells] };
-        let mut hull = Hull::known(&all.ground, FINE);
-        while hull.step > 2 {
-            hull = hull.halved(&all.ground, Between::Nothing);
-        }
+        let known = Hull::known(&all.ground, FINE);
+        let hull = known.halved(&all.ground, Between::Nothing);
+        let empty = vec![EMPTY; cells * cells];
+        let mut out = Cells { cells, above: empty.clone(), below: empty, known };
         let side = all.ground.side;
         let mut above = vec![EMPTY; side];
         let mut below = vec![EMPTY; side];
@@ -180,31 +181,19 @@ impl Cells {
 
     /// The greatest distance of heights from ends at every [`FINE`]-th post.
     fn worst(&self, all: &All, hull: &Hull) -> u32 {
-        let cells = self.cells;
-        let mut most = vec![0; cells];
-        let (mut high, mut low) =
-            ([vec![0; hull.side], vec![0; hull.side]], [vec![0; hull.side], vec![0; hull.side]]);
+        let (cells, side) = (self.cells, hull.side);
         let mut bounds = vec![0; cells * cells];
-        let mut first = (0, 0);
-        for i in 0..hull.side {
-            // How far the surface of all posts lies above the low ends, and below the high ones.
-            let known = all.ground.side * i * FINE;
-            for (j, at) in (known..known + all.ground.side).step_by(FINE).enumerate() {
-                low[1][j] = all.ground.low[at] - hull.low[i * hull.side + j];
-                high[1][j] = hull.high[i * hull.side + j] - all.ground.high[at];
-            }
-            if i > 0 {
-                let at = (i - 1) * cells;
-                corners(&low, &high, &self.above[at..][..cells], &self.below[at..][..cells], &mut most);
-                bounds[at..][..cells].copy_from_slice(&most);
-                let (j, v) =
-                    most.iter().enumerate().max_by_key(|(_, v)| **v).map_or((0, 0), |(j, v)| (j, *v));
-                first = first.max((v, at + j));
-            }
-            low.swap(0, 1);
-            high.swap(0, 1);
+        for (i, bounds) in bounds.chunks_exact_mut(cells).enumerate() {
+            let rows = i * side..(i + 2) * side;
+            let up = [&self.known.low[rows.clone()], &hull.low[rows.clone()]];
+            let down = [&hull.high[rows.clone()], &self.known.high[rows]];
+            corners(up, &self.above[i * cells..][..cells], bounds);
+            corners(down, &self.below[i * cells..][..cells], bounds);
         }
-        let mut worst = cell(all, hull, first.1 / cells, first.1 % cells);
+        // The cell that promises to be the worst, then all that could be worse.
+        let most = bounds.iter().fold(0, |m, b| m.max(*b));
+        let first = bounds.iter().position(|b| *b == most).unwrap_or(0);
+        let mut worst = cell(all, hull, first / cells, first % cells);
         for (k, bound) in bounds.iter().enumerate() {
             if *bound > worst {
                 worst = worst.max(cell(all, hull, k / cells, k % cells));
@@ -214,17 +203,15 @@ impl Cells {
     }
 }
 
-/// Of each cell the greatest of the four corners' distances and its own.
+/// Of each cell of a row the greatest of what `of` differs by at its four corners, and its own distance; two rows of corners each.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn corners(low: &[Vec<i32>; 2], high: &[Vec<i32>; 2], above: &[i32], below: &[i32], most: &mut [i32]) {
+fn corners(of: [&[i32]; 2], own: &[i32], most: &mut [i32]) {
     let n = most.len();
-    let (a, b) = (&low[0][..n + 1], &low[1][..n + 1]);
-    let (c, d) = (&high[0][..n + 1], &high[1][..n + 1]);
+    let [(a, b), (c, d)] = of.map(|two| two.split_at(n + 1));
+    let at = |j: usize| (a[j] - c[j]).max(b[j] - d[j]);
     for j in 0..n {
-        let up = a[j].max(a[j + 1]).max(b[j].max(b[j + 1]));
-        let down = c[j].max(c[j + 1]).max(d[j].max(d[j + 1]));
         // A 16th for each halving within the cell.
-        most[j] = (up + above[j]).max(down + below[j]) + FINE.ilog2() as i32;
+        most[j] = most[j].max(at(j).max(at(j + 1)) + own[j] + FINE.ilog2() as i32);
     }
 }
 
