@@ -17,6 +17,7 @@ mod field;
 pub mod header;
 pub mod heights;
 mod mask;
+mod mixing;
 mod sparse;
 pub mod surface;
 pub mod texture;
