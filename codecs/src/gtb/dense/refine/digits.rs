@@ -1,7 +1,7 @@
 //! The digits of a layer: in which part of its interval a height lies.
 
+use super::super::super::mixing::{self, Count, Weights};
 use super::around::Around;
-use super::mixing::{self, Count, Weights};
 use crate::lattice::{Kind, Pass};
 use crate::range::Coder;
 

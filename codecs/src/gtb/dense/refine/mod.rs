@@ -5,7 +5,6 @@
 
 mod around;
 mod digits;
-mod mixing;
 
 use super::super::field::Field;
 use super::super::header::Header;
@@ -15,7 +14,8 @@ use crate::range::Coder;
 use around::Reach;
 use digits::Digits;
 
-/// Codes one further layer. A prefix that ends in it has the posts before at the layer's bound, the others at the one before.
+/// Codes one further layer; the next one is reached if all of it is there. A prefix that ends in it has the posts before at the
+/// layer's bound, the others at the one before.
 pub(super) fn code<C: Coder>(
     header: &Header,
     layer: usize,
@@ -57,9 +57,9 @@ pub(super) fn code<C: Coder>(
             let r = z.wrapping_mul(32).wrapping_sub(around.guesses[0]) / 8;
             wrong[at] = r.clamp(-32_767, 32_767) as i16;
         }
-        if !mark(layer, number, c)? {
+        if !mark(layer, number, c)? && number + 1 < 2 * lattice.n() {
             return Ok(Reached { layer, passes: number + 1, posts: 0, corners: true });
         }
     }
-    Ok(Reached { layer, passes: 2 * lattice.n(), posts: 0, corners: true })
+    Ok(Reached { layer: layer + 1, passes: 0, posts: 0, corners: true })
 }
