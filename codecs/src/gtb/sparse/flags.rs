@@ -26,9 +26,9 @@ impl Flags {
 fn context(a: &Around) -> usize {
     let selected = a.apexes.iter().filter(|p| p.selected).count();
     let there = a.apexes.iter().filter(|p| p.there).count();
-    let near = usize::from(a.own[0].needed) + 2 * usize::from(a.own[1].needed);
-    let size: f32 = a.apexes.iter().map(|p| p.surplus.abs()).sum::<f32>() * a.pass.step as f32;
-    (((there - 1) * 3 + selected) * 4 + near) * 16 + class(f64::from(size))
+    let near = a.own.iter().filter(|p| p.needed).count();
+    let size = a.activity() * a.pass.step as f64;
+    (((there - 1) * 3 + selected) * 5 + near) * 16 + class(size)
 }
 
 /// One class an octave.
