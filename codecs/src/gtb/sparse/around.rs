@@ -29,7 +29,7 @@ pub(super) struct Around {
     /// of the posts of the pass in line and across.
     pub features: [f64; FEATURES],
     /// Of each apex that is fictitious and has no needed child yet: how many children of it come after this one.
-    pub debt: u8,
+    pub debt: usize,
 }
 
 type Away<const N: usize> = [[isize; 2]; N];
@@ -125,7 +125,7 @@ impl Around {
 }
 
 /// Whether a fictitious apex still needs a child: 0 no; 1 to 4: one of so many.
-fn owes(lattice: Lattice, known: &Known, pass: Pass, apex: Post, post: Post) -> u8 {
+fn owes(lattice: Lattice, known: &Known, pass: Pass, apex: Post, post: Post) -> usize {
     let side = lattice.side();
     let at = apex[0] * side + apex[1];
     if known.selected[at] {

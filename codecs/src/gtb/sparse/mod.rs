@@ -17,8 +17,11 @@ use crate::lattice::{Lattice, Pass, Post};
 use crate::range::Coder;
 
 mod around;
+mod counts;
 mod flags;
 mod guess;
+mod least;
+mod shape;
 mod steps;
 
 use around::Around;
