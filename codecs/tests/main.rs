@@ -1,4 +1,5 @@
 //! One test binary; a module a subject.
 
 mod bitree;
+mod sparse;
 mod support;
