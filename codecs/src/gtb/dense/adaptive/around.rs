@@ -1,4 +1,4 @@
-//! The posts around a post.
+//! The posts around a post, all known when its turn comes.
 
 use crate::lattice::{Kind, Pass, Post};
 
@@ -94,7 +94,8 @@ impl Places {
                 if v > end { (2 * end - v).abs() } else { v }
             };
             let (mv, mu) = (mirror(v), mirror(u));
-            out[k] = if k >= 16 && (mv, mu) != (v, u) { out[0] } else { mv as usize * self.side + mu as usize };
+            out[k] =
+                if k >= 16 && (mv, mu) != (v, u) { out[0] } else { mv as usize * self.side + mu as usize };
         }
         out
     }

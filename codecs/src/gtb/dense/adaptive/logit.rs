@@ -7,7 +7,7 @@ pub(super) fn log2(x: f32) -> f32 {
     let exponent = (bits >> 23) as i32 - 127;
     let f = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000) - 1.0;
     let f2 = f * f;
-    let low = (1.442_501_7 - 0.717_668_14 * f) + f2 * (0.455_742_98 - 0.274_832_43 * f);
+    let low = (1.442_501_7 - 0.717_668_1 * f) + f2 * (0.455_742_98 - 0.274_832_43 * f);
     let p = low + (f2 * f2) * (0.119_381_52 - 0.025_125_61 * f);
     exponent as f32 + p * f
 }
@@ -26,4 +26,20 @@ pub(super) fn exp2(x: f32) -> f32 {
 #[inline(always)]
 pub(super) fn squash(x: f32) -> f32 {
     1.0 / (1.0 + exp2(-x))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn close_to_the_true_values() {
+        for k in 1..200_000 {
+            let x = k as f32 * 0.013;
+            assert!((f64::from(log2(x)) - f64::from(x).log2()).abs() < 1e-5, "log2 {x}");
+            let x = (k - 100_000) as f32 * 0.0011;
+            assert!((f64::from(exp2(x)) / f64::from(x).exp2() - 1.0).abs() < 2e-5, "exp2 {x}");
+        }
+        assert_eq!(squash(0.0), 0.5);
+    }
 }

@@ -1,25 +1,29 @@
-//! What several experts expect of a post: each a bell around its own prediction, as wide as it has been wrong.
+//! What experts expect of a post: each a bell around its own prediction, as wide as that prediction has been wrong.
+//!
+//! The bell is Student's t with four degrees. With u = x / sqrt(1 + x^2), x = distance / (2 mean distance), the part
+//! above x is (1 - u)^2 (2 + u) / 4: no table, no exponential, the same bits on every machine.
 
 use super::logit::log2;
 
-/// Experts.
+/// Experts: lanes of a vector.
 pub(super) const EXPERTS: usize = 8;
 /// A number of each.
 pub(super) type Lanes = [f32; EXPERTS];
 
-/// Student's t with four degrees around centres, in steps from the middle of step 0.
+/// One bell an expert. Everything is in steps of 2E + 1 units, from the middle of step 0, on the side that was chosen.
 pub(super) struct Bells {
     centre: Lanes,
     narrow: Lanes,
-    /// Part above `+1/2`, below `-1/2`.
+    /// Part above 1/2.
     above: Lanes,
+    /// Part below -1/2.
     below: Lanes,
     /// Parts above the interval's lower end and above its upper end, on the side that was chosen.
     low: Lanes,
     high: Lanes,
 }
 
-/// Part of each bell above `at`.
+/// Part of each bell above `at`; `sign` -1 mirrors the bells.
 #[inline(always)]
 fn tail(at: f32, sign: f32, centre: &Lanes, narrow: &Lanes) -> Lanes {
     let mut out = [0.0; EXPERTS];
@@ -32,7 +36,7 @@ fn tail(at: f32, sign: f32, centre: &Lanes, narrow: &Lanes) -> Lanes {
     out
 }
 
-/// log2 of the odds of `yes` against `no`, within 12 of even.
+/// log2 of the odds of `yes` against `no`, within 12 of even. Where a bell has next to nothing left, it does not care.
 #[inline(always)]
 fn odds(yes: f32, no: f32) -> f32 {
     let ratio = (yes + 1e-7) / (no + 1e-7);
