@@ -3,8 +3,11 @@
 //! - [`Coords`], [`Place`]: where, in coordinates of the user's choice; [`Raster`]: the surface over a raster
 //! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
 //!   samples, bit for bit; [`Written`]: what there is to say of it
+//! - [`drape`]: a picture onto the cells of a lattice; [`gtb`]: heights to GTB and back
 
+pub mod drape;
 mod file;
+pub mod gtb;
 mod mesh;
 mod place;
 mod raster;
