@@ -3,16 +3,19 @@
 //! - [`Coords`], [`Place`]: where, in coordinates of the user's choice; [`Raster`]: the surface over a raster
 //! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
 //!   samples, bit for bit; [`Written`]: what there is to say of it
+//! - [`StreamRequest`], [`stream()`]: the surface as one progressive stream (GTB)
 
 mod file;
 mod mesh;
 mod place;
 mod raster;
+mod stream;
 
 pub use file::{FileRequest, Form, Written, write_samples, write_surface};
 pub use mesh::{MeshFound, Packing, write_mesh};
 pub use place::{Coords, Place, whereabouts};
 pub use raster::Raster;
+pub use stream::{Choice, Refined, SIDE_MAX, Stream, StreamRequest, Told, stream, version_of};
 
 use crate::base::{Error, Result};
 
