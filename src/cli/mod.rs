@@ -19,6 +19,7 @@ mod question;
 mod reader;
 mod remote;
 mod send;
+mod stream;
 mod tolerance;
 mod upkeep;
 
