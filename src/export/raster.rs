@@ -58,13 +58,16 @@ impl<'a> Raster<'a> {
     /// survey there whose columns run north, if there is one: at tolerance 0 its samples come out.
     pub fn as_fine_as_posts(s: &Snapshot, place: &'a Place) -> Result<Raster<'a>> {
         match Raster::on_posts(s, place)? {
-            Some((raster, _)) => Ok(raster),
+            Some((raster, _)) => {
+                let (cols, rows) = (raster.cols as f64, raster.rows as f64);
+                raster.sized(cols, rows)
+            }
             None => Raster::new(s, place, finest_step(s, place)?, 1),
         }
     }
 
     /// Pixels centred on the posts of the finest survey there whose columns run north, and its name; `None` if there is none,
-    /// none of its posts lies in the region, or the place has coordinates of its own.
+    /// none of its posts lies in the region, or the place has coordinates of its own. The caller limits their number.
     pub fn on_posts(s: &Snapshot, place: &'a Place) -> Result<Option<(Raster<'a>, String)>> {
         let b = bounds(s, place)?;
         let size = s.unit().size();
@@ -81,7 +84,8 @@ impl<'a> Raster<'a> {
         Ok(found.map(|raster| (raster, e.name.clone())))
     }
 
-    /// Pixels centred on whole multiples of a step, those within the region; `None` if there is none.
+    /// Pixels centred on whole multiples of a step, those within the region; `None` if there is none. The caller limits their
+    /// number.
     pub fn on_multiples(s: &Snapshot, place: &'a Place, step: [f64; 2]) -> Result<Option<Raster<'a>>> {
         Raster::on_lattice(place, bounds(s, place)?, [0.0; 2], step)
     }
@@ -100,8 +104,8 @@ impl<'a> Raster<'a> {
         }
         let origin = [anchor[0] + first[0] * step[0], anchor[1] + last[1] * step[1]];
         let (coords, mask) = (place.coords.as_ref(), place.mask.as_deref());
-        let raster = Raster { origin, step, cols: 1, rows: 1, coords, mask };
-        raster.sized(last[0] - first[0] + 1.0, last[1] - first[1] + 1.0).map(Some)
+        let count = |k: usize| (last[k] - first[k] + 1.0) as usize;
+        Ok(Some(Raster { origin, step, cols: count(0), rows: count(1), coords, mask }))
     }
 
     fn sized(self, cols: f64, rows: f64) -> Result<Raster<'a>> {
