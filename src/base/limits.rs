@@ -56,3 +56,7 @@ pub const UPLOAD_ROW_BYTES_MAX: u64 = 2 << 20;
 pub const OPERATION_BYTES_MAX: usize = 200;
 /// Files of one call that names files.
 pub const FILES_MAX: u64 = 1000;
+/// Posts along a side of a lattice that is coded as GTB.
+pub const LATTICE_SIDE_MAX: u64 = 8193;
+/// Bytes of one GTB file.
+pub const GTB_BYTES_MAX: u64 = 1 << 30;

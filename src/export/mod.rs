@@ -4,8 +4,11 @@
 //! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
 //!   samples, bit for bit; [`Written`]: what there is to say of it
 //! - [`StreamRequest`], [`stream()`]: the surface as one progressive stream (GTB)
+//! - [`drape`]: a picture onto the cells of a lattice; [`gtb`]: heights to GTB and back
 
+pub mod drape;
 mod file;
+pub mod gtb;
 mod mesh;
 mod place;
 mod raster;

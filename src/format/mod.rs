@@ -16,6 +16,8 @@
 //! | USGS ASCII DEM | `usgs` |
 //! | greyscale PNG | `gray_png` |
 //! | one of these in a zip | `archive` |
+//!
+//! [`picture`] reads GeoTIFF and PNG for their colours.
 
 mod archive;
 mod ascii;
@@ -31,6 +33,7 @@ mod gray_png;
 mod hgt;
 mod input;
 mod kind;
+pub mod picture;
 mod raw;
 pub mod relief;
 mod sidecar;

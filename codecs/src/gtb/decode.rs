@@ -2,7 +2,7 @@
 
 use super::companion::Companion;
 use super::dense::{self, Reached};
-use super::encode::Profile;
+use super::encode::{PassEnd, Profile};
 use super::field::{Field, Given, Status};
 use super::header::{BLOCK, Header, unblocked};
 use super::{mask, sparse, surface};
@@ -32,6 +32,8 @@ pub struct Decoded {
     pub selected: Vec<bool>,
     /// What each post is; empty if all are coded.
     status: Vec<Status>,
+    /// The passes that are whole, and where they end: as the sender has them, but that a decoder looks some bytes ahead.
+    pub passes: Vec<PassEnd>,
     /// Bytes of the file that were looked at.
     pub bytes_used: u64,
     /// Whether nothing is missing.
@@ -65,7 +67,14 @@ pub fn decode<'a, T: Companion<Decoder<'a>>>(
     let mut reached = Reached::NOTHING;
     let wanted = if let Stop::Error(e) = stop { e } else { -1.0 };
     let last = 2 * header.lattice.n();
-    let mut mark = |layer: usize, number: u32, _: &Decoder| {
+    let mut passes = Vec::new();
+    let mut mark = |layer: usize, number: u32, c: &Decoder| {
+        passes.push(PassEnd {
+            layer,
+            pass: header.lattice.pass(number),
+            bytes: header.file_position(head, c.position()).min(bytes.len() as u64),
+            bound: header.bound(layer, number + 1),
+        });
         let done = 0.25_f64.powi(((last - number) / 2) as i32);
         if !going((layer as f64 + done) / header.layers.len() as f64) {
             return Err(Error::Stopped);
@@ -102,6 +111,7 @@ pub fn decode<'a, T: Companion<Decoder<'a>>>(
         reached,
         selected,
         status,
+        passes,
         bytes_used: ((head + used + blocks) as u64).min(bytes.len() as u64),
         complete,
         bound,

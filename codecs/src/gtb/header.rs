@@ -313,6 +313,9 @@ pub(super) fn check_layers(profile: Profile, layers: &[u32]) -> Result<()> {
     if matches!(profile, Profile::Sparse) && layers.len() > 1 {
         return Err(Error::invalid("layers", "the sparse stream has one; name one bound"));
     }
+    if matches!(profile, Profile::Sparse) && layers[0] == 0 {
+        return Err(Error::invalid("layers", "a step of 0 for the sparse stream; 1 sends heights exactly"));
+    }
     for pair in layers.windows(2) {
         let (coarse, fine) = (2 * pair[0] + 1, 2 * pair[1] + 1);
         if pair[1] >= pair[0] || coarse % fine != 0 || coarse / fine > 255 {

@@ -8,6 +8,7 @@
 //! - [`companion`]: what travels between the heights: the texture
 //! - [`encode()`], [`decode()`]: the doors
 
+pub mod bitree;
 mod bounds;
 pub mod companion;
 mod decode;
@@ -17,6 +18,7 @@ mod field;
 pub mod header;
 pub mod heights;
 mod mask;
+pub mod select;
 mod sparse;
 pub mod surface;
 pub mod texture;

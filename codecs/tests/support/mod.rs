@@ -1,1 +1,2 @@
 //! Grids for tests: seeded terrain, and real ones of the repository's fixtures.
+pub mod random;

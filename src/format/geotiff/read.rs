@@ -14,7 +14,7 @@ use crate::format::input::Input;
 use crate::format::sidecar;
 use crate::format::voids::Voids;
 use crate::format::window;
-use crate::height::source::{HeightSource, Samples, SourceInfo, Window};
+use crate::height::source::{HeightSource, SampleType, Samples, SourceInfo, Window};
 use std::sync::Arc;
 use tiff_reader::source::{SharedSource, TiffSource};
 use tiff_reader::{ByteOrder, Ifd, OpenOptions, ParseBudgets, RasterLayout, TiffError, TiffFile};
@@ -75,6 +75,91 @@ impl GeoTiff {
     /// # Errors
     /// As [`crate::format::open`].
     pub fn open(input: Input) -> Result<GeoTiff> {
+        let mut tiff = GeoTiff::begin(input)?;
+        let notes = tiff.band_notes()?;
+        tiff.info.notes.splice(0..0, notes);
+        Ok(tiff)
+    }
+
+    /// What is to be known of a file with more in it than one band of heights.
+    fn band_notes(&self) -> Result<Vec<String>> {
+        let ifd = self.tiff.ifd(0).map_err(|e| tiff_error(&self.info.file, "header", e))?;
+        let mut notes = Vec::new();
+        if self.layout.samples_per_pixel > 1 {
+            notes.push(format!("the file has {} bands; the first is read", self.layout.samples_per_pixel));
+        }
+        if ifd.photometric_interpretation() == Some(2) {
+            notes.push("the file is a colour picture (RGB); its red band is read as heights".to_string());
+        }
+        if ifd.photometric_interpretation() == Some(3) {
+            notes.push("the file has a colour palette; its numbers are read as heights".to_string());
+        }
+        Ok(notes)
+    }
+
+    /// Opens a file whose first three bands are red, green and blue, 8 bits each; of one band, all three are that.
+    ///
+    /// # Errors
+    /// As [`GeoTiff::open`]; [`Error::Unsupported`] for samples of other widths, palettes and bands that lie in planes of their own.
+    pub fn open_colours(input: Input) -> Result<GeoTiff> {
+        let tiff = GeoTiff::begin(input)?;
+        let file = &tiff.info.file;
+        let ifd = tiff.tiff.ifd(0).map_err(|e| tiff_error(file, "header", e))?;
+        let bands = tiff.layout.samples_per_pixel;
+        let unsupported = |what: String, how: &str| {
+            Err(Error::unsupported(
+                file,
+                what,
+                format!("write it anew: gdal_translate {how} INPUT OUTPUT.tif"),
+            ))
+        };
+        if tiff.stored != Stored::Same(SampleType::U8) || tiff.layout.bits_per_sample != 8 {
+            let what = format!("samples of {} bits are no colours; 8 are read", tiff.layout.bits_per_sample);
+            return unsupported(what, "-ot Byte -scale");
+        }
+        if ifd.photometric_interpretation() == Some(3) {
+            return unsupported("a picture with a palette is not read".into(), "-expand rgb");
+        }
+        if bands == 2 {
+            return unsupported("a picture of 2 bands; 1, 3 or more are read".into(), "-b 1 -b 1 -b 1");
+        }
+        if bands > 1 && tiff.layout.planar_configuration != 1 {
+            return unsupported(
+                "bands that lie in planes of their own are not read".into(),
+                "-co INTERLEAVE=PIXEL",
+            );
+        }
+        Ok(tiff)
+    }
+
+    /// Red, green and blue of a window, and which pixels are void: by mask or alpha, or if every band is the nodata value.
+    ///
+    /// # Errors
+    /// As [`HeightSource::read`].
+    pub fn read_colours(&mut self, w: Window) -> Result<(Vec<[u8; 3]>, Vec<bool>)> {
+        window::check(&self.info, w)?;
+        let mut rgb = vec![[0; 3]; w.cols * w.rows];
+        if rgb.is_empty() {
+            return Ok((rgb, Vec::new()));
+        }
+        let bands = if self.layout.samples_per_pixel >= 3 { 3 } else { 1 };
+        for band in 0..bands {
+            let data = self.read_band(band, w)?;
+            rgb.iter_mut().zip(data).for_each(|(pixel, v)| pixel[band] = v);
+        }
+        if bands == 1 {
+            rgb.iter_mut().for_each(|pixel| *pixel = [pixel[0]; 3]);
+        }
+        let nodata = self.voids.nodata_bytes().map(|b| b[0]);
+        let mut valid: Vec<u8> = rgb.iter().map(|p| u8::from(nodata.is_none_or(|n| *p != [n; 3]))).collect();
+        self.blocks.each_missing(w, |row, from, to| {
+            valid[row * w.cols + from..row * w.cols + to].fill(u8::from(nodata.is_none()));
+        });
+        self.mask(w, &mut valid)?;
+        Ok((rgb, valid.iter().map(|v| *v == 0).collect()))
+    }
+
+    fn begin(input: Input) -> Result<GeoTiff> {
         let file = input.file.clone();
         let input = Arc::new(input);
         let span_bytes = input.span_bytes();
@@ -84,15 +169,6 @@ impl GeoTiff {
         let sample_type = stored.sample_type();
 
         let mut notes = Vec::new();
-        if layout.samples_per_pixel > 1 {
-            notes.push(format!("the file has {} bands; the first is read", layout.samples_per_pixel));
-        }
-        if ifd.photometric_interpretation() == Some(2) {
-            notes.push("the file is a colour picture (RGB); its red band is read as heights".to_string());
-        }
-        if ifd.photometric_interpretation() == Some(3) {
-            notes.push("the file has a colour palette; its numbers are read as heights".to_string());
-        }
         let pages =
             tiff.ifds().iter().skip(1).filter(|i| subfile(i) & (SUBFILE_OVERVIEW | SUBFILE_MASK) == 0);
         let pages = pages.count();
@@ -144,6 +220,21 @@ impl GeoTiff {
         sidecar::complete(&mut info, &input, &["tfw", "tifw", "wld"])?;
         let lzma = LzmaBlocks::default();
         Ok(GeoTiff { info, tiff, blocks, layout, lzma, stored, mask, voids, missing })
+    }
+
+    /// Marks the posts of a window that the mask or the alpha band leaves out.
+    fn mask(&mut self, w: Window, valid: &mut [u8]) -> Result<()> {
+        let (mask, width) = match self.mask {
+            Mask::None => return Ok(()),
+            Mask::Image(image) => (self.decode(image, 0, w)?, 1),
+            Mask::Alpha(band) => (self.read_band(band, w)?, self.stored.bytes()),
+        };
+        for (valid, mask) in valid.iter_mut().zip(mask.chunks_exact(width)) {
+            if mask.iter().all(|b| *b == 0) {
+                *valid = 0;
+            }
+        }
+        Ok(())
     }
 
     /// Reads one band of one image as little-endian samples.
@@ -248,18 +339,7 @@ impl HeightSource for GeoTiff {
             self.blocks
                 .each_missing(w, |row, from, to| valid[row * w.cols + from..row * w.cols + to].fill(0));
         }
-        let (mask, mask_width) = match self.mask {
-            Mask::None => {
-                return Ok(Samples { cols: w.cols, rows: w.rows, data, valid });
-            }
-            Mask::Image(image) => (self.decode(image, 0, w)?, 1),
-            Mask::Alpha(band) => (self.read_band(band, w)?, self.stored.bytes()),
-        };
-        for (valid, mask) in valid.iter_mut().zip(mask.chunks_exact(mask_width)) {
-            if mask.iter().all(|b| *b == 0) {
-                *valid = 0;
-            }
-        }
+        self.mask(w, &mut valid)?;
         Ok(Samples { cols: w.cols, rows: w.rows, data, valid })
     }
 

@@ -1,13 +1,20 @@
-//! The four corners: differences from one to the next.
+//! The four corners: differences from one to the next. Exact in the sparse stream, which has steps and no bound.
 
+use super::super::encode::Profile;
 use super::super::field::{Field, Status};
 use super::super::header::Header;
 use super::quantize;
 use crate::range::{Bit, Coder};
 
 /// Codes the corners; `false` if the bytes end before.
-pub(super) fn code<C: Coder>(header: &Header, source: Option<&[i32]>, field: &mut Field, c: &mut C) -> bool {
-    let (side, e) = (header.lattice.side(), header.layers[0]);
+pub(in super::super) fn code<C: Coder>(
+    header: &Header,
+    source: Option<&[i32]>,
+    field: &mut Field,
+    c: &mut C,
+) -> bool {
+    let side = header.lattice.side();
+    let e = if header.profile == Profile::Sparse { 0 } else { header.layers[0] };
     let mut last = 0;
     for [y, x] in header.lattice.corners() {
         let at = y * side + x;

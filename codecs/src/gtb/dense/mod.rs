@@ -8,7 +8,7 @@ use crate::Result;
 use crate::range::Coder;
 
 mod adaptive;
-mod corners;
+pub(super) mod corners;
 mod cubic;
 mod refine;
 mod residual;

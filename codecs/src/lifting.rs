@@ -1,1 +1,0 @@
-//! Wavelets by lifting: CDF 5/3 with whole-point mirror.
