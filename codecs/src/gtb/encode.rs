@@ -144,6 +144,7 @@ pub fn encode<T: Companion<Encoder>>(
             false => Err(Error::Stopped),
         }
     };
+    let mut errors = Vec::new();
     match options.profile {
         Profile::Sparse => {
             let all = vec![true; if options.selected.is_some() { 0 } else { z.len() }];
@@ -155,13 +156,18 @@ pub fn encode<T: Companion<Encoder>>(
                 ));
             }
             sparse::code(&header, Some(&z), &mut field, &mut c, companion, &mut mark)?;
+            errors = bounds::measure(&header, &z, &field);
         }
         Profile::Cubic | Profile::Adaptive => {
-            dense::code(&header, Some(&z), &mut field, &mut c, companion, &mut mark)?;
+            let mut whole = |layer: usize, field: &Field| match layer {
+                0 => errors = bounds::measure(&header, &z, field),
+                _ => errors.push(bounds::greatest(&header, &z, field)),
+            };
+            dense::code(&header, Some(&z), &mut field, &mut c, companion, &mut mark, &mut whole)?;
         }
     }
-    header.bounds = bounds::measure(&header, &z, &field);
-    let error_max = bounds::greatest(&header, &z, &field);
+    header.bounds = errors;
+    let error_max = header.bounds.last().copied().unwrap_or(0);
     let body = c.finish();
     header.body = body.len() as u64;
     let mut bytes = header.bytes();
