@@ -191,7 +191,8 @@ impl Export {
             ),
             Reader::Server(r) => {
                 let asked = self.request(Form::GeoTiff, &place, &query)?;
-                self.stream.on_server(r, (&self.out, self.json), asked, self.at)
+                let known = place.coords.map_or(Vec::new(), |c| c.notes);
+                self.stream.on_server(r, (&self.out, self.json), (asked, known), self.at)
             }
         }
     }

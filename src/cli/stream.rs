@@ -4,11 +4,12 @@ use super::args::listed;
 use super::export::write_whole;
 use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::remote::Remote;
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, limits};
 use crate::client::stream::Terrain;
 use crate::db::Snapshot;
 use crate::db::query::Query;
-use crate::export::{Choice, Place, SIDE_MAX, StreamRequest, Told, stream, version_of};
+use crate::export::{Choice, Place, StreamRequest, Told, stream, version_of};
+use crate::format::picture::Picture;
 use crate::wire::v1;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -40,6 +41,9 @@ pub struct StreamArgs {
     /// .gtb: metres of a unit. Without it a power of ten, a tenth of the codec's bound at most, and a millimetre at least
     #[arg(long, value_name = "U")]
     unit: Option<f64>,
+    /// .gtb of a directory: a picture of the ground (GeoTIFF or PNG) that travels along as texture
+    #[arg(long, value_name = "FILE")]
+    image: Option<PathBuf>,
     /// .gtb from a server: go on with OUT, the beginning of the same stream, of the version that it names
     #[arg(long)]
     resume: bool,
@@ -65,6 +69,7 @@ impl StreamArgs {
             ("--layers", self.layers.is_some()),
             ("--bound", self.bound.is_some()),
             ("--unit", self.unit.is_some()),
+            ("--image", self.image.is_some()),
             ("--resume", self.resume),
         ];
         match given.iter().find(|(_, given)| *given) {
@@ -86,7 +91,14 @@ impl StreamArgs {
             Some(ProfileKind::Adaptive) => Profile::Adaptive,
             _ => Profile::Cubic,
         };
-        Ok(StreamRequest { place, query, step, profile, choice: self.choice()?, side_max: SIDE_MAX })
+        Ok(StreamRequest {
+            place,
+            query,
+            step,
+            profile,
+            choice: self.choice()?,
+            side_max: limits::LATTICE_SIDE_MAX,
+        })
     }
 
     /// Writes a stream of a database in a directory, with a bar; Ctrl-C stops it.
@@ -95,8 +107,9 @@ impl StreamArgs {
             let reason = "is for streams from a server; of a directory it is made as a whole";
             return Err(Error::invalid("--resume", reason));
         }
+        let mut picture = self.image.as_deref().map(Picture::open).transpose()?;
         let (meter, stop) = (Meter::new(), stop_flag());
-        let made = stream(s, &request, None, &|stage, share| {
+        let made = stream(s, &request, None, picture.as_mut(), &|stage, share| {
             meter.report(stage, share);
             !stop.load(Ordering::Relaxed)
         });
@@ -106,9 +119,20 @@ impl StreamArgs {
         print(to, &made.told, &made.notes)
     }
 
-    /// Fetches a stream. What came is kept if it breaks off: it is a surface, and can be gone on with. `at`: the version that the
-    /// caller named.
-    pub fn on_server(&self, r: &Remote, to: To, asked: v1::FileRequest, at: Option<u64>) -> Result<bool> {
+    /// Fetches a stream. What came is kept if it breaks off: it is a surface, and can be gone on with. `known`: what
+    /// the person was told already; `at`: the version that was named.
+    pub fn on_server(
+        &self,
+        r: &Remote,
+        to: To,
+        (asked, known): (v1::FileRequest, Vec<String>),
+        at: Option<u64>,
+    ) -> Result<bool> {
+        if self.image.is_some() {
+            let reason =
+                "goes with a database in a directory: a server has no pictures, and its stream is made there";
+            return Err(Error::invalid("--image", reason));
+        }
         let choice = self.choice()?;
         let begun = if self.resume { begun(to.0)? } else { Vec::new() };
         let named = Header::read(&begun).ok().and_then(|(h, _)| version_of(&h)).filter(|_| at.is_none());
@@ -145,7 +169,8 @@ impl StreamArgs {
             return Err(e);
         }
         write_whole(to.0, |p| std::fs::write(p, &terrain.bytes).map_err(|e| Error::io(p, e)))?;
-        let head = terrain.head.unwrap_or_default();
+        let mut head = terrain.head.unwrap_or_default();
+        head.notes.retain(|n| !known.contains(n));
         if here > 0 && head.from > 0 {
             message(&format!("note: {} bytes were there, {} were fetched", here, head.bytes - head.from));
         }

@@ -52,6 +52,18 @@ pub fn shared(earlier: &Decoded, posts: &Posts) -> Option<Given> {
     any.then_some(given)
 }
 
+/// By how many posts a stream must begin farther west and farther north so that coarser posts of an earlier one are among its
+/// coarser posts: less than a spacing of the earlier one. Posts that lie between the others of a pass help to predict nothing.
+pub fn beginning(earlier: &Place, new: &Place) -> [usize; 2] {
+    [0, 1].map(|k| {
+        let (old, new) = (axis(earlier, k), axis(new, k));
+        let times = (old[1] / new[1]).round();
+        let away = (new[0] - old[0]) / new[1];
+        let fits = (old[1] / new[1] - times).abs() <= MISS && (away - away.round()).abs() <= MISS;
+        if fits && times > 1.0 && times <= 4096.0 { away.round().rem_euclid(times) as usize } else { 0 }
+    })
+}
+
 /// First post and step along an axis.
 fn axis(p: &Place, k: usize) -> [f64; 2] {
     let t = &p.transform;
@@ -148,6 +160,18 @@ mod tests {
         assert_eq!(given, again);
         assert_eq!(given.known.iter().filter(|k| **k).count(), 3);
         assert!(follow(&mut again, &runs).is_err());
+    }
+
+    #[test]
+    fn a_finer_stream_begins_on_a_coarser_post() {
+        let old = place(96.0, 96.0, 16.0, 1.0);
+        assert_eq!(beginning(&old, &place(104.0, 100.0, 4.0, 1.0)), [2, 3]);
+        assert_eq!(beginning(&old, &place(80.0, 128.0, 8.0, 1.0)), [0, 0]);
+        for other in
+            [place(104.0, 88.0, 16.0, 1.0), place(105.0, 88.0, 4.0, 1.0), place(104.0, 88.0, 32.0, 1.0)]
+        {
+            assert_eq!(beginning(&old, &other), [0, 0]);
+        }
     }
 
     #[test]

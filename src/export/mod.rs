@@ -18,7 +18,7 @@ pub use file::{FileRequest, Form, Written, write_samples, write_surface};
 pub use mesh::{MeshFound, Packing, write_mesh};
 pub use place::{Coords, Place, whereabouts};
 pub use raster::Raster;
-pub use stream::{Choice, Refined, SIDE_MAX, Stream, StreamRequest, Told, stream, version_of};
+pub use stream::{Choice, Refined, Stream, StreamRequest, Told, stream, version_of};
 
 use crate::base::{Error, Result};
 

@@ -108,6 +108,13 @@ impl<'a> Raster<'a> {
         Ok(Some(Raster { origin, step, cols: count(0), rows: count(1), coords, mask }))
     }
 
+    /// As many more columns in the west, rows in the north.
+    pub fn grown(self, west: usize, north: usize) -> Raster<'a> {
+        let origin =
+            [self.origin[0] - west as f64 * self.step[0], self.origin[1] + north as f64 * self.step[1]];
+        Raster { origin, cols: self.cols + west, rows: self.rows + north, ..self }
+    }
+
     fn sized(self, cols: f64, rows: f64) -> Result<Raster<'a>> {
         if cols.is_nan() || rows.is_nan() || cols * rows > limits::RASTER_POSTS_MAX as f64 {
             return Err(Error::limit(

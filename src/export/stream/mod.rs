@@ -8,21 +8,23 @@ mod shares;
 pub use shares::Choice;
 use shares::{Settled, Shares};
 
+use super::drape::{Drape, Square};
+use super::gtb;
 use super::place::{Place, whereabouts};
 use super::raster::{Met, Raster, finest_step};
 use super::{Going, go_on};
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, limits};
 use crate::codec::held::{self, Posts};
 use crate::db::query::Query;
 use crate::db::{self, Snapshot};
+use crate::format::picture::Picture;
+use crate::height::source::Affine;
 use serde::{Deserialize, Serialize};
 use terraquilt_codecs::gtb::companion::Alone;
+use terraquilt_codecs::gtb::texture::{Cells, Settings, Writer};
 use terraquilt_codecs::gtb::{Decoded, Encoded, Given, Header, Heights, Options, Profile, encode};
 use terraquilt_codecs::gtb::{PassEnd, Place as Placed};
-use terraquilt_codecs::lattice::{Lattice, N_MAX};
-
-/// Posts along a side of a stream.
-pub const SIDE_MAX: u64 = (1 << N_MAX) + 1;
+use terraquilt_codecs::lattice::Lattice;
 
 /// A stream of the surface.
 pub struct StreamRequest {
@@ -33,7 +35,7 @@ pub struct StreamRequest {
     pub step: Option<[f64; 2]>,
     pub profile: Profile,
     pub choice: Choice,
-    /// Posts along a side that it may have; [`SIDE_MAX`] at most.
+    /// Posts along a side that it may have; no lattice has more than [`limits::LATTICE_SIDE_MAX`].
     pub side_max: u64,
 }
 
@@ -83,19 +85,25 @@ pub struct Told {
     pub version: u64,
 }
 
-/// Makes a stream. `earlier`: what the receiver has of another one.
+/// Makes a stream. `earlier`: what the receiver has of another one. `picture`: what the ground looks like, to travel along.
 ///
 /// Memory: 8 bytes a post for the surface, then what the codec needs.
 ///
 /// # Errors
 /// If nothing lies there, no post does, above limits; [`Error::Stopped`] when told not to go on.
-pub fn stream(s: &Snapshot, r: &StreamRequest, earlier: Option<&Decoded>, going: Going) -> Result<Stream> {
+pub fn stream(
+    s: &Snapshot,
+    r: &StreamRequest,
+    earlier: Option<&Decoded>,
+    picture: Option<&mut Picture>,
+    going: Going,
+) -> Result<Stream> {
     let shares = Shares::new(&r.query.tolerance, &r.choice)?;
     let query = Query { tolerance: shares.surface.clone(), ..r.query.clone() };
     if s.select(&query)?.records.is_empty() {
         return Err(nothing(s, r));
     }
-    let (raster, posts) = posts(s, r)?;
+    let (raster, posts) = posts(s, r, earlier)?;
     let mut z = Vec::with_capacity(raster.cols * raster.rows);
     let met = raster.doubles(s, &query, going, |_, _, band| {
         z.extend_from_slice(band);
@@ -118,26 +126,31 @@ pub fn stream(s: &Snapshot, r: &StreamRequest, earlier: Option<&Decoded>, going:
         None => None,
         Some(e) => refined(e, &heights, &place, &settled, &mut notes)?,
     };
+    let cells = picture.map(|p| draped(p, (s, &raster), &heights, &mut notes, going)).transpose()?;
     let options = Options {
         layers: settled.layers.clone(),
         place,
         given: refines.as_ref().map(|r: &Refined| &r.given),
+        texture: cells.as_ref().map(|c| c.n),
         ..Options::new(r.profile, 0)
     };
     go_on(going, "coding", 0.0)?;
-    let found = encode(&heights, &options, &mut Alone, &mut |share| going("coding", share)).map_err(codec)?;
+    let mut on = |share: f64| going("coding", share);
+    let found = match &cells {
+        None => encode(&heights, &options, &mut Alone, &mut on),
+        Some(cells) => {
+            let mut writer = Writer::new(cells, &Settings::default()).map_err(codec)?;
+            encode(&heights, &options, &mut writer, &mut on)
+        }
+    };
+    let found = found.map_err(codec)?;
     let told = told(s, r, (&raster, posts), (&settled, met), &heights, &found)?;
     let notes = [notes, settled.notes(told.codec_error_m)].concat();
     Ok(Stream { bytes: found.bytes, ends: found.passes, told, notes, refines })
 }
 
-/// An error of the codec as one of ours.
 fn codec(e: terraquilt_codecs::Error) -> Error {
-    match e {
-        terraquilt_codecs::Error::Stopped => Error::Stopped,
-        terraquilt_codecs::Error::Limit { what, limit, wanted } => Error::limit(what, limit, wanted),
-        e => Error::invalid("stream", e),
-    }
+    gtb::told("the stream", e)
 }
 
 fn nothing(s: &Snapshot, r: &StreamRequest) -> Error {
@@ -145,8 +158,9 @@ fn nothing(s: &Snapshot, r: &StreamRequest) -> Error {
     Error::invalid("region", reason)
 }
 
-/// The posts, and where they lie in words.
-fn posts<'a>(s: &Snapshot, r: &'a StreamRequest) -> Result<(Raster<'a>, String)> {
+/// The posts, and where they lie in words. Beside an earlier stream of a coarser spacing they begin on a post of it, by less than
+/// its spacing outside of the region.
+fn posts<'a>(s: &Snapshot, r: &'a StreamRequest, earlier: Option<&Decoded>) -> Result<(Raster<'a>, String)> {
     let multiples = "whole multiples of the spacing";
     let found = match r.step {
         Some(step) => Raster::on_multiples(s, &r.place, step)?.map(|raster| (raster, multiples.to_string())),
@@ -163,13 +177,19 @@ fn posts<'a>(s: &Snapshot, r: &'a StreamRequest) -> Result<(Raster<'a>, String)>
     let (raster, posts) = found.ok_or_else(|| {
         Error::invalid("region", "no post lies in it; give a larger region, or a smaller step between posts")
     })?;
-    let side_max = r.side_max.min(SIDE_MAX);
+    let side_max = r.side_max.min(limits::LATTICE_SIDE_MAX);
     let longest = raster.cols.max(raster.rows) as u64;
     if longest > side_max {
         let what = "posts along a side of a stream (give a smaller region, or a larger step between posts)";
         return Err(Error::limit(what, side_max, longest));
     }
-    Ok((raster, posts))
+    let [west, north] = earlier.map_or([0; 2], |e| {
+        held::beginning(&e.header.place, &Placed { transform: transform(&raster), ..Placed::default() })
+    });
+    if (raster.cols + west).max(raster.rows + north) as u64 > side_max {
+        return Ok((raster, posts));
+    }
+    Ok((raster.grown(west, north), posts))
 }
 
 /// Heights in whole units.
@@ -182,13 +202,18 @@ fn rounded(raster: &Raster, z: Vec<f64>, unit: f64) -> Heights {
     out
 }
 
-fn placed(s: &Snapshot, raster: &Raster, settled: &Settled) -> Result<Placed> {
+/// From posts to the ground.
+fn transform(raster: &Raster) -> [f64; 6] {
     let ([x, y], [sx, sy]) = (raster.center(0, 0), raster.step());
+    [x, sx, 0.0, y, 0.0, -sy]
+}
+
+fn placed(s: &Snapshot, raster: &Raster, settled: &Settled) -> Result<Placed> {
     Ok(Placed {
         unit: settled.unit,
         base: 0.0,
         given_error: settled.given_error,
-        transform: [x, sx, 0.0, y, 0.0, -sy],
+        transform: transform(raster),
         crs: raster.crs(s).code.clone(),
         vertical: db::vertical_datum(s)?.map_or("m".to_string(), |d| format!("m {d}")),
         source: source(s.number()),
@@ -207,6 +232,35 @@ pub fn version_of(header: &Header) -> Option<u64> {
     header.place.source.strip_prefix(SOURCE)?.parse().ok()
 }
 
+fn lattice(heights: &Heights) -> Result<Lattice> {
+    let (cols, rows) = (heights.cols, heights.rows);
+    Lattice::around(cols, rows).ok_or_else(|| {
+        Error::limit("posts along a side of a stream", limits::LATTICE_SIDE_MAX, cols.max(rows) as u64)
+    })
+}
+
+/// A picture on the cells of the stream's square.
+fn draped(
+    picture: &mut Picture,
+    (s, raster): (&Snapshot, &Raster),
+    heights: &Heights,
+    notes: &mut Vec<String>,
+    going: Going,
+) -> Result<Cells> {
+    let ([x, y], [sx, sy]) = (raster.center(0, 0), raster.step());
+    let affine = Affine { origin: [x, y], col_step: [sx, 0.0], row_step: [0.0, -sy] };
+    let square = Square {
+        lattice: lattice(heights)?,
+        cols: heights.cols,
+        rows: heights.rows,
+        affine: Some(affine),
+        crs: Some(raster.crs(s)),
+    };
+    let mut drape = Drape::new(square, picture)?;
+    notes.append(&mut drape.notes);
+    drape.cells(drape.usual_n(), going)
+}
+
 /// The heights of an earlier stream that are good enough for this one.
 fn refined(
     earlier: &Decoded,
@@ -215,9 +269,7 @@ fn refined(
     settled: &Settled,
     notes: &mut Vec<String>,
 ) -> Result<Option<Refined>> {
-    let side = SIDE_MAX - 1;
-    let lattice = Lattice::around(heights.cols, heights.rows)
-        .ok_or_else(|| Error::limit("posts along a side of a stream", side, heights.cols as u64))?;
+    let lattice = lattice(heights)?;
     let at = Posts { cols: heights.cols, rows: heights.rows, lattice, place };
     let Some(mut given) = held::shared(earlier, &at) else {
         notes.push("what is held shares no post with what is asked: everything is sent".into());

@@ -21,8 +21,8 @@ use terraquilt_codecs::gtb::{Decoded, Given, Stop, decode};
 use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status};
 
-/// Bytes of a piece.
-const PIECE: usize = 256 << 10;
+/// Bytes of a piece: a link that breaks loses no more of them.
+const PIECE: usize = 32 << 10;
 /// Streams that are waited for, made or sent at once.
 const STREAMS_MAX: usize = 16;
 /// Streams that are made at once, as far as there are cores to leave one.
@@ -164,7 +164,7 @@ impl Workshop {
             },
         };
         let going = |_: &str, _: f64| !stop.load(Ordering::Relaxed);
-        let found = export::stream(&s, &wanted, earlier.as_ref(), &going)?;
+        let found = export::stream(&s, &wanted, earlier.as_ref(), None, &going)?;
         notes.extend(found.notes.iter().cloned());
         let made = Arc::new(made(found, notes)?);
         self.kept.insert(key(&r), made.clone());
