@@ -83,25 +83,20 @@ fn by_hand(folder: &Path, of: &[&str], args: &[&str]) -> (Vec<u8>, serde_json::V
     (std::fs::read(&out).unwrap(), json, said)
 }
 
-/// The largest distance from the surface at its best, at posts where an error is certified; what the stream states.
-fn distance(d: &Decoded, s: &Snapshot) -> (f64, f64) {
+/// Every post is as far from the surface as codec and rounding may be, no farther. The surface is asked for half of `error_m`.
+fn holds(d: &Decoded, s: &Snapshot, error_m: f64) {
     let (h, place, z) = (&d.header, &d.header.place, d.surface());
     let t = &place.transform;
     let posts = (0..h.rows).flat_map(|r| (0..h.cols).map(move |c| (r, c)));
     let points: Vec<[f64; 2]> =
         posts.clone().map(|(r, c)| [t[0] + c as f64 * t[1], t[3] + r as f64 * t[5]]).collect();
-    let found = s.planes(&points, &Tolerance::Constant(0.0), Blend::Exact).unwrap();
-    let best = (0..points.len()).map(|k| if found.is_certified(k) { found.z[k] } else { f64::NAN });
-    let one = |((r, c), best): ((usize, usize), f64)| {
-        (place.base + place.unit * z[r * h.lattice.side() + c] - best).abs()
+    let surface = s.planes(&points, &Tolerance::Constant(error_m / 2.0), Blend::Exact).unwrap().z;
+    let one = |((r, c), true_z): ((usize, usize), &f64)| {
+        (place.base + place.unit * z[r * h.lattice.side() + c] - true_z).abs()
     };
-    let worst = posts.zip(best).filter(|(_, b)| !b.is_nan()).map(one).fold(0.0, f64::max);
-    (worst, place.given_error + place.unit * f64::from(d.bound))
-}
-
-fn holds(d: &Decoded, s: &Snapshot) {
-    let (found, stated) = distance(d, s);
-    assert!(found <= stated, "{found} m at posts, {stated} m stated");
+    let worst = posts.zip(&surface).filter(|(_, z)| !z.is_nan()).map(one).fold(0.0, f64::max);
+    let allowed = place.unit * (0.5 + f64::from(d.bound)) + 1e-6;
+    assert!(worst <= allowed && allowed <= error_m, "{worst} m at posts, {allowed} m allowed");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -265,11 +260,11 @@ async fn a_stream_goes_on_where_the_connection_broke() {
     let folder = tempfile::tempdir().unwrap();
     let server = serve(&hills(folder.path())).await;
     let c = connect(&server).await;
-    let (_, bytes) = asked(&c, request(0.0, 2.0)).await;
-    assert!(bytes.len() > 200_000, "{} bytes", bytes.len());
-    let (address, cuts) = broken_link(server.address, 60_000).await;
+    let (_, bytes) = asked(&c, request(0.0, 4.0)).await;
+    assert!(bytes.len() > 100_000, "{} bytes", bytes.len());
+    let (address, cuts) = broken_link(server.address, 40_000).await;
     let link = Connection::open(&Address { server: address, ..Address::default() }).await.unwrap();
-    let mut t = Terrain::new(request(0.0, 2.0));
+    let mut t = Terrain::new(request(0.0, 4.0));
     let (mut surfaces, mut bound) = (0, u32::MAX);
     let fetched = t.fetch(&link, None, |t| {
         // Whatever came is a surface.
@@ -285,7 +280,7 @@ async fn a_stream_goes_on_where_the_connection_broke() {
     // A link that lets nothing through ends in a sentence; what came stays.
     let (address, _) = broken_link(server.address, 400).await;
     let link = Connection::open(&Address { server: address.clone(), ..Address::default() }).await.unwrap();
-    let mut t = Terrain::begun(request(0.0, 2.0), bytes[..5000].to_vec());
+    let mut t = Terrain::begun(request(0.0, 4.0), bytes[..5000].to_vec());
     let e = t.fetch(&link, None, |_| Ok(())).await.unwrap_err().to_string();
     assert!(e.contains(&address) && t.bytes == bytes[..5000], "{e}");
     server.stop().await.unwrap();
@@ -309,33 +304,31 @@ async fn what_is_held_is_refined() {
         let head = t.head.clone().unwrap();
         let d = t.decode(Stop::End).unwrap();
         let given = d.header.given.is_some() && head.refines.is_some();
-        println!(
-            "step {step}: {} bytes, {} for all; {:?}",
-            t.bytes.len(),
-            alone.bytes.len(),
-            head.refines.as_ref().map(|r| (
-                r.runs.len(),
-                r.runs.iter().step_by(2).sum::<u64>(),
-                r.runs.iter().sum::<u64>()
-            ))
-        );
-        println!("{:?} {:?}", d.header, head.json);
-        assert!(given && d.complete && t.bytes.len() < alone.bytes.len(), "{:?}", head.notes);
-        holds(&d, &s);
+        println!("step {step}: {} bytes, {} for all", t.bytes.len(), alone.bytes.len());
+        assert!(given && d.complete && t.bytes.len() < alone.bytes.len() * 9 / 10, "{:?}", head.notes);
+        holds(&d, &s, 4.0);
         // What stayed is what was held.
         let e = earlier.decode(Stop::End).unwrap();
         let (new, old) = (&d.header, &e.header);
         let (side_new, side_old) = (new.lattice.side(), old.lattice.side());
         let offset = |k: usize, j: usize| {
             let (a, b) = (&new.place.transform, &old.place.transform);
-            ((b[k] - a[k]) / a[j]).round() as usize
+            ((b[k] - a[k]) / a[j]).round() as isize
         };
         let (x0, y0) = (offset(0, 1), offset(3, 5));
-        let same = (0..old.rows).flat_map(|r| (0..old.cols).map(move |c| (r, c))).filter(|(r, c)| {
-            let z = new.place.unit * f64::from(d.z[(y0 + 2 * r) * side_new + x0 + 2 * c]);
-            (z - old.place.unit * f64::from(e.z[r * side_old + c])).abs() < 1e-9
-        });
-        assert!(same.count() * 10 > old.rows * old.cols * 9);
+        let (mut shared, mut same) = (0, 0);
+        for (r, c) in (0..old.rows).flat_map(|r| (0..old.cols).map(move |c| (r, c))) {
+            let (y, x) = (y0 + 2 * r as isize, x0 + 2 * c as isize);
+            if y >= 0 && x >= 0 && y < new.rows as isize && x < new.cols as isize {
+                let z = new.place.unit * f64::from(d.z[y as usize * side_new + x as usize]);
+                shared += 1;
+                same += i32::from((z - old.place.unit * f64::from(e.z[r * side_old + c])).abs() < 1e-9);
+            }
+        }
+        assert!(
+            shared * 10 > (old.rows * old.cols * 9) as i32 && same * 10 > shared * 9,
+            "{same} of {shared}"
+        );
         // Without what was held it cannot be read, nor with something else.
         let bare = Terrain::begun(t.request.clone(), t.bytes.clone());
         assert!(bare.decode(Stop::End).is_err());
@@ -371,24 +364,24 @@ async fn a_neighbouring_region_and_a_part_of_a_stream_count_as_held() {
     t.fetch(&c, Some(&held), |_| Ok(())).await.unwrap();
     println!("{} bytes, {alone} for all, {} held", t.bytes.len(), held.bytes.len());
     assert!(t.bytes.len() * 2 < alone);
-    holds(&t.decode(Stop::End).unwrap(), &s);
+    holds(&t.decode(Stop::End).unwrap(), &s, 4.0);
     // The beginning of a stream: its posts so far.
     let part = beginning(&held, held.bytes.len() * 2 / 3);
     let mut p = Terrain::new(part.refined(wide.clone()).unwrap());
     p.fetch(&c, Some(&part), |_| Ok(())).await.unwrap();
     assert!(t.bytes.len() < p.bytes.len() && p.bytes.len() < alone, "{} bytes", p.bytes.len());
-    holds(&p.decode(Stop::End).unwrap(), &s);
+    holds(&p.decode(Stop::End).unwrap(), &s, 4.0);
     // Other posts, and too little of it: everything is sent, and it is said.
-    for (held, r, says) in [
-        (&held, v1::SurfaceRequest { region: region(EAST), ..wide.clone() }, "shares no post"),
-        (&held, request(0.1, 8.0), "are good enough for it"),
-        (&beginning(&held, 40), wide.clone(), "is no surface yet"),
+    for (held, r, says, error) in [
+        (&held, v1::SurfaceRequest { region: region(EAST), ..wide.clone() }, "shares no post", 4.0),
+        (&held, request(0.1, 8.0), "are good enough for it", 0.1),
+        (&beginning(&held, 40), wide.clone(), "is no surface yet", 4.0),
     ] {
         let mut t = Terrain::new(held.refined(r).unwrap());
         t.fetch(&c, Some(held), |_| Ok(())).await.unwrap();
         let notes = t.head.clone().unwrap().notes.join("\n");
         assert!(notes.contains(says) && notes.contains("everything is sent"), "{notes}");
-        holds(&t.decode(Stop::End).unwrap(), &s);
+        holds(&t.decode(Stop::End).unwrap(), &s, error);
     }
     server.stop().await.unwrap();
 }
@@ -420,7 +413,7 @@ async fn changed_terrain_is_noticed() {
         runs.iter().sum::<u64>()
     );
     assert!(fell > 100 && t.bytes.len() < alone.bytes.len() && head.version == 2);
-    holds(&t.decode(Stop::End).unwrap(), &s);
+    holds(&t.decode(Stop::End).unwrap(), &s, 5.0);
     // Who goes on with a beginning and names no version begins anew.
     let half = before.bytes[..before.bytes.len() / 2].to_vec();
     let mut on = Terrain::begun(everywhere(20.0), half.clone());
@@ -442,7 +435,7 @@ async fn changed_terrain_is_noticed() {
     assert!(
         head.refines.is_none() && head.notes.iter().any(|n| n.contains("version 1") && n.contains("gone"))
     );
-    holds(&t.decode(Stop::End).unwrap(), &s);
+    holds(&t.decode(Stop::End).unwrap(), &s, 5.0);
     let e = refused(&c, v1::SurfaceRequest { at: 1, ..everywhere(20.0) }).await;
     assert!(e.contains("version 1 not found"), "{e}");
     server.stop().await.unwrap();
