@@ -11,6 +11,8 @@ use std::cell::Cell;
 mod adaptive;
 pub(super) mod corners;
 mod cubic;
+mod planes;
+mod predict;
 mod refine;
 mod residual;
 
@@ -91,6 +93,6 @@ pub(super) fn quantize(z: i32, base: i32, e: u32) -> i32 {
 
 /// Whether a post's height travels.
 #[inline(always)]
-pub(super) fn is_coded(field: &Field, at: usize) -> bool {
+fn is_coded(field: &Field, at: usize) -> bool {
     field.status.is_empty() || field.status[at] == Status::Coded
 }

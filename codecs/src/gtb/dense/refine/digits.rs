@@ -1,7 +1,7 @@
 //! The digits of a layer: in which part of its interval a height lies.
 
+use super::super::super::mixing::{self, Count, Weights};
 use super::around::Around;
-use super::mixing::{self, Count, Weights};
 use crate::lattice::{Kind, Pass};
 use crate::range::Coder;
 
@@ -98,7 +98,7 @@ impl Digits {
             let boundary = i64::from(2 * cut - self.parts) * i64::from(self.step) * 32;
             let [fine, rough] = self.scale[n as usize];
             let place = |k: usize, scale: i64, half: i64| {
-                (((boundary - away[k]) * scale >> 26) + half).clamp(0, 2 * half - 1) as usize
+                ((((boundary - away[k]) * scale) >> 26) + half).clamp(0, 2 * half - 1) as usize
             };
             let base = shape * SHAPE;
             let single = |k: usize| base + (k * CLASSES + class) * PLACES + place(k, fine, PLACES as i64 / 2);

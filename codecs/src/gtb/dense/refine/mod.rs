@@ -5,7 +5,6 @@
 
 mod around;
 mod digits;
-mod mixing;
 
 use super::super::field::Field;
 use super::super::header::Header;

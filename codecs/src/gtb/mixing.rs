@@ -69,6 +69,14 @@ impl Count {
     /// As likely as not.
     pub const NEW: Count = Count(1 << 31);
 
+    /// Codes one decision by this context alone.
+    #[inline(always)]
+    pub fn code<C: Coder>(&mut self, c: &mut C, bit: bool) -> bool {
+        let bit = c.bit((self.0 >> 16).clamp(4, ONE - 4), bit);
+        self.update(bit);
+        bit
+    }
+
     #[inline(always)]
     fn logit(self) -> i32 {
         i32::from(LOGIT[(self.0 >> 20) as usize])
