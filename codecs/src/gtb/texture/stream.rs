@@ -196,7 +196,7 @@ impl State {
         self.passes = 2 * heights.n();
         let side = lattice.last();
         let depth_max = c.bits(5, sender.as_ref().map_or(0, |s| s.depth_max));
-        self.plain_parts = c.bits(10, sender.as_ref().map_or(0, |s| s.plain_parts));
+        self.plain_parts = c.bits(11, sender.as_ref().map_or(0, |s| s.plain_parts));
         let top = sender.as_ref().and_then(|s| s.plain.as_ref()).map_or(0, Source::top);
         let top = if self.plain_parts > 0 { c.bits(5, top) } else { 0 };
         if c.ended() {

@@ -83,9 +83,13 @@ impl Zerotree {
         Zerotree { side, levels, top: top.min(PLANE_MAX), channels, done: 0 }
     }
 
-    /// Parts of a plane: each channel by levels, the low band first.
+    /// Parts of a plane: each channel by bands, the low one first, then those of the highest level.
     pub fn parts_of_plane(&self) -> u32 {
-        3 * (self.levels + 1)
+        3 * self.parts_of_channel()
+    }
+
+    fn parts_of_channel(&self) -> u32 {
+        1 + 3 * self.levels
     }
 
     /// All parts of all planes.
@@ -105,9 +109,8 @@ impl Zerotree {
         }
         let of_plane = self.parts_of_plane();
         let plane = self.top - self.done / of_plane;
-        let (channel, step) =
-            ((self.done % of_plane) / (self.levels + 1), (self.done % of_plane) % (self.levels + 1));
-        let at = channel as usize;
+        let part = self.done % of_plane;
+        let (at, step) = ((part / self.parts_of_channel()) as usize, part % self.parts_of_channel());
         let values = source.map(|s| (&s.values[at][..], &s.below[at][..]));
         let (side, levels) = (self.side, self.levels);
         let ch = &mut self.channels[at];
@@ -116,20 +119,19 @@ impl Zerotree {
             let low = side >> levels;
             ch.area([0..low, 0..low], side, plane, 3, None, values, c);
         } else {
-            let level = levels + 1 - step;
-            for (k, band) in Band::ALL.into_iter().enumerate() {
-                ch.area(band.area(side, level), side, plane, k, Some(level == levels), values, c);
-            }
+            let level = levels - (step - 1) / 3;
+            let band = (step - 1) as usize % 3;
+            ch.area(Band::ALL[band].area(side, level), side, plane, band, Some(level == levels), values, c);
         }
         if !c.ended() {
             self.done += 1;
         }
     }
 
-    /// The plane below which nothing is known of a part of a channel: 0 the low band, else levels from the highest.
+    /// The plane below which nothing is known of a part of a channel: 0 the low band, else bands from the highest level.
     fn floor(&self, channel: usize, step: u32) -> u32 {
         let whole = self.done / self.parts_of_plane();
-        let part = channel as u32 * (self.levels + 1) + step;
+        let part = channel as u32 * self.parts_of_channel() + step;
         (self.top + 1).saturating_sub(whole + u32::from(part < self.done % self.parts_of_plane()))
     }
 
@@ -148,9 +150,9 @@ impl Zerotree {
         let low = self.side >> self.levels;
         take(0..low, 0..low, 0);
         for level in 1..=self.levels {
-            for band in Band::ALL {
+            for (k, band) in Band::ALL.into_iter().enumerate() {
                 let [ys, xs] = band.area(self.side, level);
-                take(ys, xs, self.levels + 1 - level);
+                take(ys, xs, 1 + 3 * (self.levels - level) + k as u32);
             }
         }
         out
