@@ -221,7 +221,8 @@ impl<C: Coder> Companion<C> for Turns {
         c.bits(8, 77);
     }
     fn after_post(&mut self, pass: Pass, post: Post, c: &mut C) {
-        if !c.bit(40_000, self.posts.len() % 3 == 0) || !c.ended() {
+        c.bit(40_000, self.posts.len().is_multiple_of(3));
+        if !c.ended() {
             self.posts.push((pass, post));
         }
     }
@@ -353,6 +354,12 @@ fn the_table_of_rules() {
         assert!(within(found_rms, rms), "{name}: rms {found_rms}, table {rms:?}");
         assert!(within(found_most, most), "{name}: at most {found_most}, table {most:?}");
         assert!(within(part, fictitious), "{name}: {part} % fictitious, table {fictitious:?}");
+        let posts: usize = bitree::strips(ground.lattice(), &needed).iter().map(Vec::len).sum();
+        let triangles = bitree::count(ground.lattice(), &needed);
+        assert!(
+            posts as f64 <= 1.5 * triangles as f64,
+            "{name}: {posts} posts of strips, {triangles} triangles"
+        );
     }
 }
 

@@ -7,6 +7,7 @@
 //!
 //! A post is a number here: `row * side + column`. Corners are always needed.
 
+use super::strips;
 use crate::lattice::{Lattice, Post};
 
 /// Marks every needed post: the closure of `selected` (`side * side` marks, corners may be left out).
@@ -70,32 +71,15 @@ pub fn triangles(lattice: Lattice, needed: &[bool]) -> Vec<[u32; 3]> {
 /// The triangles as strips, one of each root, for `TRIANGLE_STRIP`: each post from the third on closes a triangle with the two
 /// before it, of the odd ones these two change places. A post that is there twice in three makes none: the strip turns.
 ///
-/// At most 2 posts a triangle and 2 more a root. The orientation is that of
-/// [`triangles`].
+/// 1.45 posts a triangle and less on selections of terrain, measured. The orientation is that of [`triangles`]. Linear; 24 bytes a
+/// triangle and 4 a post of the lattice while it works.
 pub fn strips(lattice: Lattice, needed: &[bool]) -> Vec<Vec<u32>> {
-    roots(lattice).map(|root| strip(lattice, needed, root)).to_vec()
-}
-
-fn strip(lattice: Lattice, needed: &[bool], root: Triangle) -> Vec<u32> {
-    let mut out: Vec<u32> = Vec::new();
-    walk(lattice, needed, root, |next| {
-        let n = out.len();
-        if n == 0 {
-            out.extend_from_slice(&next);
-            return;
-        }
-        let (last, new) = (&out[n - 3..], next.into_iter().find(|p| !out[n - 3..].contains(p)));
-        let left = last.iter().position(|p| !next.contains(p));
-        match left {
-            // The first triangle begins with the post that the second does not have.
-            Some(k) if n == 3 => out.rotate_left(k),
-            // The edge to the next is not the last one: turn.
-            Some(1) => out.insert(n - 1, out[n - 3]),
-            _ => {}
-        }
-        out.extend(new);
-    });
-    out
+    let strip = |root| {
+        let mut triangles = Vec::new();
+        walk(lattice, needed, root, |t| triangles.push(t));
+        strips::strip(lattice.side() * lattice.side(), &triangles)
+    };
+    roots(lattice).map(strip).to_vec()
 }
 
 /// Apex, and the ends of the hypotenuse: counter-clockwise.

@@ -21,6 +21,7 @@ mod mask;
 mod mixing;
 pub mod select;
 mod sparse;
+mod strips;
 pub mod surface;
 pub mod texture;
 

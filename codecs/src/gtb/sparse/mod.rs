@@ -51,6 +51,8 @@ struct Plan<'a> {
 
 /// Both directions: an encoder gives the heights of the lattice as `source` and the selection in the field, a decoder finds them
 /// there. Layer 0 alone; `header.layers[0]` is the step of heights, 1 for exact ones.
+///
+/// Memory: 14 bytes a post beside the field, 17 while encoding, and 4 MiB of models.
 pub(super) fn code<C: Coder, T: Companion<C>>(
     header: &Header,
     source: Option<&[i32]>,
