@@ -22,8 +22,8 @@ const PREDICTIONS: usize = 8;
 const FAVOUR: [f32; PREDICTIONS] = [1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.0, 0.0];
 /// Columns beyond the border that hold errors of nothing.
 const MARGIN: usize = 4;
-/// Posts after which a width follows no more slowly.
-const SEEN: f32 = 128.0;
+/// Posts after which an expert's width follows no more slowly.
+const SEEN: Lanes = [20.0, 20.0, 20.0, 20.0, 48.0, 48.0, 48.0, 48.0];
 /// Expected steps from which on decisions begin with the sign.
 const MANY: f32 = 6.0;
 
@@ -191,7 +191,7 @@ pub(super) fn code_plain<C: Coder>(
     let olds = ((old[0].abs() + old[1].abs()) + (old[2].abs() + old[3].abs())) * 0.25;
     let spread = (most - least) * unit;
     let differ = ((local - broad).abs() + (local - cubic).abs()) * (1.5 * unit);
-    let activity = (0.5 * ours + 0.3 * olds) + 0.1 * (spread + differ);
+    let activity = (0.6 * ours + 0.15 * olds) + 0.1 * (spread + differ);
     let shapes = [activity, differ, ours, spread, olds, v[0].abs() * unit, v[1].abs() * unit, 0.0];
     let mut logs = [0.0f32; 8];
     for k in 0..8 {
@@ -246,7 +246,7 @@ pub(super) fn code_plain<C: Coder>(
     for k in 0..EXPERTS {
         let far = ((target - said[k]) * unit).abs();
         let far = if inside { within(means[k]) } else { far };
-        seens[k] = (seens[k] + 1.0).min(SEEN);
+        seens[k] = (seens[k] + 1.0).min(SEEN[k]);
         means[k] = (means[k] + (far - means[k]) / (seens[k] + 0.5)).clamp(0.01, 1e7);
     }
     for k in 0..EXPERTS {

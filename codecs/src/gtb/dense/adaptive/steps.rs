@@ -2,11 +2,15 @@
 //!
 //! Where little is expected: whether it is 0; its sign; how often its magnitude can be halved, one decision each; the
 //! magnitude's lower bits, high bit first. Where much is expected (`start` > 0 bits): whether it is negative (then -1
-//! counts as 0, -2 as 1 and so on); whether it takes more than `start` bits, than `start` + 1 and so on; its bits.
+//! counts as 0, -2 as 1 and so on); whether it takes more than `start` bits, than `start` + 1 and so on; its bits. Bits below
+//! the third of these travel as they are: a bell is flat there, and a decision costs time.
 
 use super::bells::Bells;
 use super::mixer::{Contexts, Mixer};
 use crate::range::Coder;
+
+/// Bits of a magnitude below its first that are mixed; the lower ones are as likely as not.
+const MIXED: u32 = 3;
 
 /// Codes `q`; 0 or rubbish after the bytes have ended.
 #[inline(always)]
@@ -40,17 +44,19 @@ fn near<C: Coder>(mixer: &mut Mixer, c: &mut C, with: &Contexts, mut bells: Bell
         k += 1;
     }
     let mut v = 1u32;
-    for b in (0..k).rev() {
+    let even = k.saturating_sub(MIXED);
+    for b in (even..k).rev() {
         let (odds, mid) = bells.upper(((2 * v + 1) << b) as f32 - 0.5);
         let node = match k - 1 - b {
             0 => 26 + k.min(23) as usize,
             1 => 50 + 2 * k.min(23) as usize + (v & 1) as usize,
-            n => 98 + n.min(13) as usize,
+            _ => 98,
         };
         let bit = mixer.code(c, with, node, odds, m >> b & 1 == 1);
         bells.take(bit, mid);
         v = v << 1 | u32::from(bit);
     }
+    let v = v << even | c.bits(even, m & ((1 << even) - 1));
     if negative { -(v as i32) } else { v as i32 }
 }
 
@@ -72,16 +78,18 @@ fn far<C: Coder>(mixer: &mut Mixer, c: &mut C, with: &Contexts, mut bells: Bells
         k += 1;
     }
     let (mut v, bits) = if k == start { (0u32, k) } else { (1, k - 1) };
-    for b in (0..bits).rev() {
+    let even = bits.saturating_sub(MIXED);
+    for b in (even..bits).rev() {
         let (odds, mid) = bells.upper(((2 * v + 1) << b) as f32 + shift);
         let node = match bits - 1 - b {
             0 => 121 + usize::from(k > start),
             1 => 123 + (v & 1) as usize,
-            n => 123 + n.min(4) as usize,
+            _ => 125,
         };
         let bit = mixer.code(c, with, node, odds, m >> b & 1 == 1);
         bells.take(bit, mid);
         v = v << 1 | u32::from(bit);
     }
+    let v = v << even | c.bits(even, m & ((1 << even) - 1));
     if negative { !(v as i32) } else { v as i32 }
 }

@@ -5,7 +5,7 @@ use super::squares::{NONE, Row, Sums, add, blend, solve};
 /// What a row north counts of the next, and a block of the one beside it.
 const FADE: f32 = 0.75;
 /// Posts of the whole pass that draw a window.
-const DRAW: f32 = 20.0;
+const DRAW: f32 = 12.0;
 /// Posts of the coarser pass that draw a pass.
 const INHERITED: f32 = 30.0;
 /// Part of the mean diagonal that draws weights to the cubic.
