@@ -44,10 +44,10 @@ pub struct Bit {
 }
 
 /// How much of the difference a decision takes, in 65536ths, after 0, 1, 2 ... decisions; the last holds from then on.
-const RATES: [u32; 48] = rates();
+const RATES: [u32; 128] = rates();
 
-const fn rates() -> [u32; 48] {
-    let mut out = [0; 48];
+const fn rates() -> [u32; 128] {
+    let mut out = [0; 128];
     let mut k = 0;
     while k < out.len() {
         out[k] = 131_072 / (2 * k as u32 + 3);
@@ -60,6 +60,11 @@ impl Bit {
     /// A model that expects a one with `p` of 65536.
     pub const fn new(p: u16) -> Bit {
         Bit { p, seen: 0 }
+    }
+
+    /// A model that expects a one with `p` of 65536 as if it had learnt that from `seen` decisions.
+    pub const fn known(p: u16, seen: u16) -> Bit {
+        Bit { p, seen }
     }
 
     /// The probability of a one, `32..=65504`.

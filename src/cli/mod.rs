@@ -20,6 +20,7 @@ mod question;
 mod reader;
 mod remote;
 mod send;
+mod stream;
 mod tolerance;
 mod upkeep;
 

@@ -85,7 +85,7 @@ pub fn decode<'a, T: Companion<Decoder<'a>>>(
         companion.start(header.lattice, &mut c);
         reached = match header.profile {
             Profile::Sparse => sparse::code(&header, None, &mut field, &mut c, companion, &mut mark)?,
-            _ => dense::code(&header, None, &mut field, &mut c, companion, &mut mark)?,
+            _ => dense::code(&header, None, &mut field, &mut c, companion, &mut mark, &mut |_, _| {})?,
         };
     }
     let used = c.position();
@@ -100,10 +100,7 @@ pub fn decode<'a, T: Companion<Decoder<'a>>>(
         return Err(Error::Short { what: "mask and corners", needs: has + 1, has });
     }
     let complete = read.whole && reached.layer == header.layers.len();
-    let bound = header.bound(
-        reached.layer.min(header.layers.len() - 1),
-        if reached.layer == header.layers.len() { u32::MAX } else { reached.passes },
-    );
+    let bound = header.bound(reached.layer, reached.passes);
     let Field { z, status, selected, .. } = field;
     let blocks = 4 * used.div_ceil(BLOCK);
     Ok(Decoded {

@@ -54,7 +54,8 @@ pub struct Options<'a> {
     pub given: Option<&'a Given>,
     /// n of the cells of the texture that travels along.
     pub texture: Option<u32>,
-    /// [`Profile::Sparse`]: which posts of the lattice are sent.
+    /// [`Profile::Sparse`]: which posts of the lattice are sent, as a [`Rule`](super::select::Rule) marks them; `None`: all. Posts
+    /// without data, and such whose height is the midpoint of their hypotenuse already, are not sent in either case.
     pub selected: Option<&'a [bool]>,
 }
 
@@ -144,10 +145,10 @@ pub fn encode<T: Companion<Encoder>>(
             false => Err(Error::Stopped),
         }
     };
+    let mut errors = Vec::new();
     match options.profile {
         Profile::Sparse => {
-            let all = vec![true; if options.selected.is_some() { 0 } else { z.len() }];
-            field.selected = options.selected.unwrap_or(&all).to_vec();
+            field.selected = options.selected.map_or_else(|| vec![true; z.len()], <[bool]>::to_vec);
             if field.selected.len() != z.len() {
                 return Err(Error::invalid(
                     "selected posts",
@@ -155,13 +156,18 @@ pub fn encode<T: Companion<Encoder>>(
                 ));
             }
             sparse::code(&header, Some(&z), &mut field, &mut c, companion, &mut mark)?;
+            errors = bounds::measure(&header, &z, &field);
         }
         Profile::Cubic | Profile::Adaptive => {
-            dense::code(&header, Some(&z), &mut field, &mut c, companion, &mut mark)?;
+            let mut whole = |layer: usize, field: &Field| match layer {
+                0 => errors = bounds::measure(&header, &z, field),
+                _ => errors.push(bounds::greatest(&header, &z, field)),
+            };
+            dense::code(&header, Some(&z), &mut field, &mut c, companion, &mut mark, &mut whole)?;
         }
     }
-    header.bounds = bounds::measure(&header, &z, &field);
-    let error_max = bounds::greatest(&header, &z, &field);
+    header.bounds = errors;
+    let error_max = header.bounds.last().copied().unwrap_or(0);
     let body = c.finish();
     header.body = body.len() as u64;
     let mut bytes = header.bytes();

@@ -39,7 +39,7 @@ pub struct Header {
     pub given: Option<u64>,
     /// Where the heights lie.
     pub place: Place,
-    /// Of the first layer: the greatest error in units of any prefix that ends in pass k, k from 0 to 2n - 1, and when all are whole.
+    /// The greatest error in units of any prefix that ends in pass k of the first layer, k from 0 to 2n - 1; then of each whole layer.
     pub bounds: Vec<u32>,
     /// Bytes of the body without checksums.
     pub body: u64,
@@ -268,7 +268,7 @@ impl Header {
             vertical: r.text()?,
             source: r.text()?,
         };
-        let bounds = (0..=2 * n)
+        let bounds = (0..2 * n + count as u32)
             .map(|_| {
                 let b = r.varint()?;
                 u32::try_from(b).map_err(|_| Error::damaged("head", format!("an error of {b} units")))
@@ -288,12 +288,12 @@ impl Header {
 
     /// The greatest error in units of a prefix that holds so many passes of a layer, wholly or with a part of the next.
     pub fn bound(&self, layer: usize, passes: u32) -> u32 {
-        let whole = passes >= 2 * self.lattice.n();
-        match (layer, whole) {
-            (0, _) => self.bounds.get(passes as usize).or(self.bounds.last()).copied().unwrap_or(0),
-            (_, true) => self.layers[layer.min(self.layers.len() - 1)],
-            (_, false) => self.bound(layer - 1, u32::MAX),
-        }
+        let all = 2 * self.lattice.n();
+        let at = match layer {
+            0 => passes.min(all) as usize,
+            _ => all as usize + layer - usize::from(passes < all.max(1)),
+        };
+        self.bounds.get(at).or(self.bounds.last()).copied().unwrap_or(u32::MAX)
     }
 
     /// The byte of the file at which a byte of the body lies, behind a head of `head` bytes.

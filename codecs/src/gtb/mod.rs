@@ -18,6 +18,7 @@ mod field;
 pub mod header;
 pub mod heights;
 mod mask;
+mod mixing;
 pub mod select;
 mod sparse;
 pub mod surface;

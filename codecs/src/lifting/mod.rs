@@ -1,5 +1,7 @@
-//! Wavelets by lifting: CDF 5/3 with whole-point mirror.
+//! Wavelets by lifting, with whole-point mirror at the borders.
 //!
-//! - [`posts`]: on the lattice of 2^n + 1 posts a side
+//! - [`cells`]: pictures of 2^n x 2^n cells
+//! - [`posts`]: the lattice of 2^n + 1 posts a side
 
+pub mod cells;
 pub mod posts;

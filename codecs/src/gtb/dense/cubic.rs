@@ -1,12 +1,14 @@
 //! Profile `cubic`: each post predicted from twelve around it, integers alone.
 
 use super::super::companion::Companion;
-use super::super::field::Field;
+use super::super::field::{Field, Status};
 use super::super::header::Header;
-use super::residual::{Around, Residuals};
-use super::{Mark, Reached, is_coded, quantize};
+use super::planes::Planes;
+use super::predict::{Guess, MAGNITUDE_MAX, OWN, Row, predict};
+use super::residual::Residuals;
+use super::{Mark, Reached, quantize};
 use crate::Result;
-use crate::lattice::{Kind, Pass, Post};
+use crate::lattice::{Kind, Pass};
 use crate::range::Coder;
 
 /// Codes the passes of the first layer.
@@ -18,108 +20,128 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     companion: &mut T,
     mark: Mark<C>,
 ) -> Result<Reached> {
-    let (lattice, side, e) = (header.lattice, header.lattice.side(), header.layers[0]);
-    let step = 2 * e as i32 + 1;
-    let mut residuals = Residuals::new(e);
-    let mut magnitude = vec![0u16; side * side];
+    let (lattice, side) = (header.lattice, header.lattice.side());
+    let corners = lattice.corners().map(|[y, x]| field.z[y * side + x]);
+    let mut work = Work {
+        z: Planes::new(corners),
+        magnitudes: Planes::new([0; 4]),
+        residuals: Residuals::new(header.layers[0]),
+        guess: Guess::default(),
+        e: header.layers[0],
+    };
+    let mut reached = Reached { corners: true, ..Reached::NOTHING };
     for (number, pass) in lattice.passes().enumerate() {
-        let number = number as u32;
-        for (k, post) in pass.posts(lattice).enumerate() {
-            let at = post[0] * side + post[1];
-            let (p32, around) = predict(field, &magnitude, pass, post);
-            let base = (p32 + 16) >> 5;
-            if is_coded(field, at) {
-                let q = source.map_or(0, |z| quantize(z[at], base, e));
-                let q = residuals.code(c, &around, p32 - (base << 5), q);
-                if c.ended() {
-                    return Ok(Reached { layer: 0, passes: number, posts: k, corners: true });
-                }
-                field.z[at] = base.wrapping_add(q.wrapping_mul(step));
-                let r = (field.z[at].wrapping_mul(32).wrapping_sub(p32)).unsigned_abs() / 8;
-                magnitude[at] = r.min(65_535) as u16;
-            } else if field.status(at) != super::Status::Given {
-                field.z[at] = base;
-            }
-            if T::ACTIVE {
-                companion.after_post(pass, post, c);
-                if c.ended() {
-                    return Ok(Reached { layer: 0, passes: number, posts: k + 1, corners: true });
-                }
-            }
+        if number > 0 && pass.kind == Kind::Centres {
+            work.z = work.z.finer();
+            work.magnitudes = work.magnitudes.finer();
+        }
+        let posts = work.pass(pass, source, field, c, companion);
+        let whole = !c.ended();
+        reached.passes = number as u32 + u32::from(whole);
+        reached.posts = if whole { 0 } else { posts };
+        if !whole {
+            break;
         }
         if T::ACTIVE {
             companion.after_pass(pass, c);
         }
-        if !mark(0, number, c)? {
-            return Ok(Reached { layer: 0, passes: number + 1, posts: 0, corners: true });
+        if !mark(0, number as u32, c)? {
+            break;
         }
     }
-    Ok(Reached { layer: 0, passes: 2 * lattice.n(), posts: 0, corners: true })
+    let Work { z, magnitudes, .. } = work;
+    drop(magnitudes);
+    z.write(lattice, &mut field.z);
+    Ok(reached)
 }
 
-/// 32 times the prediction of a post, and what its residual will be like.
-fn predict(field: &Field, magnitude: &[u16], pass: Pass, [y, x]: Post) -> (i32, Around) {
-    let side = field.lattice.side();
-    let s = pass.step as isize;
-    type Away<const N: usize> = [[isize; 2]; N];
-    let (near, far, own): (Away<4>, Away<8>, Away<4>) = match pass.kind {
-        Kind::Centres => (
-            [[-s, -s], [-s, s], [s, -s], [s, s]],
-            [
-                [-s, -3 * s],
-                [-s, 3 * s],
-                [s, -3 * s],
-                [s, 3 * s],
-                [-3 * s, -s],
-                [-3 * s, s],
-                [3 * s, -s],
-                [3 * s, s],
-            ],
-            [[0, -2 * s], [-2 * s, 0], [-2 * s, -2 * s], [-2 * s, 2 * s]],
-        ),
-        Kind::Edges => (
-            [[-s, 0], [0, -s], [0, s], [s, 0]],
-            [
-                [-s, -2 * s],
-                [-s, 2 * s],
-                [s, -2 * s],
-                [s, 2 * s],
-                [-2 * s, -s],
-                [-2 * s, s],
-                [2 * s, -s],
-                [2 * s, s],
-            ],
-            [[0, -2 * s], [-s, -s], [-s, s], [-2 * s, 0]],
-        ),
-    };
-    let inside = |[dy, dx]: [isize; 2]| {
-        let (v, u) = (y as isize + dy, x as isize + dx);
-        (v >= 0 && u >= 0 && v < side as isize && u < side as isize).then(|| v as usize * side + u as usize)
-    };
-    let mut there = near.iter().filter_map(|d| inside(*d)).map(|k| field.z[k]);
-    let first = there.next().unwrap_or(0);
-    let (mut sum, mut count, mut least, mut most) = (first, 1, first, first);
-    for z in there {
-        sum = sum.wrapping_add(z);
-        count += 1;
-        least = least.min(z);
-        most = most.max(z);
-    }
-    // A missing neighbour counts as the mean of the nearest that exist.
-    let mean = |n: i32| (sum.wrapping_mul(n)) / count;
-    let mut p32 = 0i32;
-    let missing = 4 - count;
-    p32 = p32.wrapping_add(sum.wrapping_mul(10)).wrapping_add(mean(10 * missing));
-    let mut outer = 0i32;
-    let mut missing = 0;
-    for d in far {
-        match inside(d) {
-            Some(k) => outer = outer.wrapping_add(field.z[k]),
-            None => missing += 1,
+struct Work {
+    z: Planes<i32>,
+    /// Of residuals, in quarters of a unit.
+    magnitudes: Planes<u16>,
+    residuals: Residuals,
+    guess: Guess,
+    e: u32,
+}
+
+impl Work {
+    /// Codes a pass; returns the posts of it that are known.
+    fn pass<C: Coder, T: Companion<C>>(
+        &mut self,
+        pass: Pass,
+        source: Option<&[i32]>,
+        field: &Field,
+        c: &mut C,
+        companion: &mut T,
+    ) -> usize {
+        let mut posts = 0;
+        for (k, y) in pass.rows(field.lattice).enumerate() {
+            let row = match pass.kind {
+                Kind::Centres => Row::Centres(k),
+                Kind::Edges if k % 2 == 0 => Row::Even(k / 2),
+                Kind::Edges => Row::Odd(k / 2),
+            };
+            predict(&self.z, &self.magnitudes, row, &mut self.guess);
+            posts += if field.status.is_empty() {
+                self.row::<C, T, false>(pass, row, y, source, field, c, companion)
+            } else {
+                self.row::<C, T, true>(pass, row, y, source, field, c, companion)
+            };
+            if c.ended() {
+                break;
+            }
         }
+        posts
     }
-    p32 = p32.wrapping_sub(outer).wrapping_sub(mean(missing));
-    let m = |d: [isize; 2]| inside(d).map_or(0, |k| u32::from(magnitude[k]));
-    let spread = most.wrapping_sub(least).max(0) as u32;
-    (p32, Around { near: near.map(m), own: own.map(m), spread })
+
+    /// Codes a row that is predicted; returns the posts of it that are known.
+    #[allow(clippy::too_many_arguments)]
+    fn row<C: Coder, T: Companion<C>, const SKIPS: bool>(
+        &mut self,
+        pass: Pass,
+        row: Row,
+        y: usize,
+        source: Option<&[i32]>,
+        field: &Field,
+        c: &mut C,
+        companion: &mut T,
+    ) -> usize {
+        let (z, r) = match row {
+            Row::Centres(i) => (self.z.c.row_mut(i), self.magnitudes.c.row_mut(i)),
+            Row::Even(i) => (self.z.h.row_mut(i), self.magnitudes.h.row_mut(i)),
+            Row::Odd(i) => (self.z.v.row_mut(i), self.magnitudes.v.row_mut(i)),
+        };
+        let n = z.len();
+        let (p32, still, r) = (&self.guess.p32[..n], &self.guess.still[..n], &mut r[..n]);
+        let (e, step) = (self.e, 2 * self.e as i32 + 1);
+        let first = if matches!(row, Row::Odd(_)) { 0 } else { pass.step };
+        let mut west = 0;
+        for j in 0..n {
+            let base = p32[j].wrapping_add(16) >> 5;
+            let x = first + 2 * pass.step * j;
+            let at = y * field.lattice.side() + x;
+            if SKIPS && field.status[at] != Status::Coded {
+                z[j] = if field.status[at] == Status::Given { field.z[at] } else { base };
+                west = 0;
+            } else {
+                let part = p32[j].wrapping_sub(base << 5);
+                let q = source.map_or(0, |s| quantize(s[at], base, e));
+                let q = self.residuals.code(c, still[j].wrapping_add(west * OWN), part, q);
+                if c.ended() {
+                    return j;
+                }
+                let height = base.wrapping_add(q.wrapping_mul(step));
+                z[j] = height;
+                west = (height.wrapping_mul(32).wrapping_sub(p32[j]).unsigned_abs() / 8).min(MAGNITUDE_MAX);
+                r[j] = west as u16;
+            }
+            if T::ACTIVE {
+                companion.after_post(pass, [y, x], c);
+                if c.ended() {
+                    return j + 1;
+                }
+            }
+        }
+        n
+    }
 }

@@ -6,10 +6,13 @@ use super::field::{Field, Status};
 use super::header::Header;
 use crate::Result;
 use crate::range::Coder;
+use std::cell::Cell;
 
 mod adaptive;
 pub(super) mod corners;
 mod cubic;
+mod planes;
+mod predict;
 mod refine;
 mod residual;
 
@@ -34,7 +37,8 @@ impl Reached {
 /// Told of each pass that is whole, of a layer, by number: `false` stops there.
 pub(super) type Mark<'a, C> = &'a mut dyn FnMut(usize, u32, &C) -> Result<bool>;
 
-/// Both directions: an encoder gives the heights of the lattice as `source`, a decoder finds them in the field.
+/// Both directions: an encoder gives the heights of the lattice as `source`, a decoder finds them in the field. `whole` is told of each
+/// layer that is whole, by number.
 pub(super) fn code<C: Coder, T: Companion<C>>(
     header: &Header,
     source: Option<&[i32]>,
@@ -42,28 +46,41 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     c: &mut C,
     companion: &mut T,
     mark: Mark<C>,
+    whole: &mut dyn FnMut(usize, &Field),
 ) -> Result<Reached> {
     if !corners::code(header, source, field, c) {
         return Ok(Reached::NOTHING);
     }
-    let first = match header.profile {
-        Profile::Adaptive => adaptive::code(header, source, field, c, companion, mark)?,
-        _ => cubic::code(header, source, field, c, companion, mark)?,
+    let stopped = Cell::new(false);
+    let mut watched = |layer: usize, number: u32, c: &C| {
+        let on = mark(layer, number, c)?;
+        stopped.set(!on);
+        Ok(on)
     };
-    if first.passes < 2 * header.lattice.n() || c.ended() {
+    let first = match header.profile {
+        Profile::Adaptive => adaptive::code(header, source, field, c, companion, &mut watched)?,
+        _ => cubic::code(header, source, field, c, companion, &mut watched)?,
+    };
+    if first.passes < 2 * header.lattice.n() || c.ended() || stopped.get() && T::ACTIVE {
         return Ok(first);
     }
     companion.finish(c);
     if c.ended() {
         return Ok(first);
     }
+    let mut reached = Reached { layer: 1, passes: 0, posts: 0, corners: true };
+    whole(0, field);
     for layer in 1..header.layers.len() {
-        let reached = refine::code(header, layer, source, field, c, mark)?;
-        if reached.passes < 2 * header.lattice.n() || c.ended() {
-            return Ok(reached);
+        if stopped.get() {
+            break;
         }
+        reached = refine::code(header, layer, source, field, c, &mut watched)?;
+        if reached.layer == layer {
+            break;
+        }
+        whole(layer, field);
     }
-    Ok(Reached { layer: header.layers.len(), passes: 0, posts: 0, corners: true })
+    Ok(reached)
 }
 
 /// A height as the receiver of a layer of bound `e` has it, for a prediction `base`, and its number of steps from there
@@ -76,6 +93,6 @@ pub(super) fn quantize(z: i32, base: i32, e: u32) -> i32 {
 
 /// Whether a post's height travels.
 #[inline(always)]
-pub(super) fn is_coded(field: &Field, at: usize) -> bool {
+fn is_coded(field: &Field, at: usize) -> bool {
     field.status.is_empty() || field.status[at] == Status::Coded
 }
