@@ -316,7 +316,7 @@ fn san_francisco_under_its_satellite_picture() {
         serde_json::from_str(&printed(&["gtb", "decode", text(&gtb), text(&glb), "--error", "20", "--json"]))
             .unwrap();
     assert!(told["error_bound"].as_f64().unwrap() <= 20.0 && told["triangles"].as_u64().unwrap() > 1000);
-    // Golden Gate Park is greener than the sea to the west of it is.
+    // Golden Gate Park is brighter than the sea to the west of it.
     let grid = {
         let mut source = terraquilt::format::open(&dem).unwrap();
         Grid::read(source.as_mut(), &|_, _| true).unwrap()
@@ -327,7 +327,7 @@ fn san_francisco_under_its_satellite_picture() {
         cells.rgb[row * 1024 + col].map(i32::from)
     };
     let (park, sea) = (at(-122.480, 37.7690), at(-122.519, 37.7690));
-    assert!(park[1] > sea[1] && park != sea, "{park:?} {sea:?}");
+    assert!(park.iter().sum::<i32>() > 2 * sea.iter().sum::<i32>(), "{park:?} {sea:?}");
     let wrong =
         refused(&["gtb", "encode", text(&dem), text(&gtb), "--image", text(&rgb), "--image-cells", "100"], 1);
     assert!(wrong.contains("power of two"));
