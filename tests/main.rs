@@ -28,6 +28,8 @@ mod formats;
 mod glb;
 /// A database of each released version, opened by today's code; same bytes whatever the threads.
 mod golden;
+/// GTB from files and to files: round trips, prefixes, pictures, meshes, damage.
+mod gtb;
 /// Histories of tiles that once went wrong, and random ones like them.
 mod histories;
 /// Which room may know which: the table in docs/architecture.md held against the code.

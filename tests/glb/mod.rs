@@ -1,7 +1,7 @@
 //! Must show 8: a GLB of a region is the surface within its bound, manifold but for its border, where surveys meet too.
 
 mod compact;
-mod reader;
+pub mod reader;
 mod steep;
 
 use crate::support::{Random, bundled, printed};
@@ -13,7 +13,7 @@ use terraquilt::height::surface::{Blend, How, Seams};
 
 impl Glb {
     /// Height of the mesh at points: each point is looked for in the triangles of its square.
-    fn heights(&self, points: &[[f64; 2]]) -> Vec<Option<f64>> {
+    pub fn heights(&self, points: &[[f64; 2]]) -> Vec<Option<f64>> {
         let side = 12.0;
         let key = |p: [f64; 2]| ((p[0] / side).floor() as i64, (p[1] / side).floor() as i64);
         let mut squares: std::collections::HashMap<(i64, i64), Vec<usize>> = Default::default();
@@ -49,7 +49,7 @@ impl Glb {
 }
 
 /// Edges that one triangle has, and that the neighbour does not: the border. Fails where an edge has three.
-fn border_edges(mesh: &Glb) -> usize {
+pub fn border_edges(mesh: &Glb) -> usize {
     let mut edges: std::collections::HashMap<(usize, usize), i32> = Default::default();
     for t in &mesh.triangles {
         for k in 0..3 {

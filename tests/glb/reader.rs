@@ -56,6 +56,15 @@ pub fn from_bytes(bytes: &[u8]) -> Glb {
         }
         let indices = accessor(&primitive["indices"]);
         let corner = |k: usize| here[indices.number(k, 0) as usize];
+        if primitive["mode"] == 5 {
+            let strip: Vec<usize> = (0..indices.count).map(corner).collect();
+            // Every second triangle of a strip runs the other way; one with a corner twice is none.
+            let turned =
+                |(k, t): (usize, &[usize])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
+            let all = strip.windows(3).enumerate().map(turned);
+            glb.triangles.extend(all.filter(|t| t[0] != t[1] && t[1] != t[2] && t[0] != t[2]));
+            continue;
+        }
         glb.triangles
             .extend((0..indices.count / 3).map(|k| [corner(3 * k), corner(3 * k + 1), corner(3 * k + 2)]));
     }

@@ -104,9 +104,12 @@ impl Grid {
         z.is_nan() || self.change(z, (z / unit).round() * unit) == 0.0
     }
 
-    /// How far `now` is from `z`; nothing if both are the same float32 and that is what the heights were.
+    /// How far `now` is from `z`: nothing if both are the same float32 and that is what the heights were, or if they differ in
+    /// the last digits of a double, by the arithmetic alone.
     fn change(&self, z: f64, now: f64) -> f64 {
-        if self.single && now as f32 == z as f32 { 0.0 } else { (now - z).abs() }
+        let off = (now - z).abs();
+        let same = self.single && now as f32 == z as f32 || off <= 4.0 * f64::EPSILON * z.abs();
+        if same { 0.0 } else { off }
     }
 
     /// The heights as integers of a unit, above a base that is 0 (or the file's offset), or near the lowest height where 0 is
