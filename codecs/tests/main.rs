@@ -1,4 +1,5 @@
 //! One test binary; a module a subject.
 
+mod adaptive;
 mod bitree;
 mod support;
