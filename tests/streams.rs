@@ -212,7 +212,7 @@ fn polygons_and_places_without_data_are_voids() {
 
 #[test]
 fn one_post_and_none() {
-    let (folder, db) = helens(true);
+    let (folder, db) = helens(false);
     let one = "562590,5115890,562605,5115905";
     let (bytes, json) = exported(folder.path(), &db, &["--error", "3", "--step", "20", "--bbox", one]);
     assert_eq!((json["cols"].as_u64(), json["rows"].as_u64()), (Some(1), Some(1)));
