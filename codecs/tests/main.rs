@@ -2,4 +2,5 @@
 
 mod adaptive;
 mod bitree;
+mod sparse;
 mod support;
