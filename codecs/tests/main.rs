@@ -2,5 +2,6 @@
 
 mod adaptive;
 mod bitree;
+mod smallest;
 mod sparse;
 mod support;

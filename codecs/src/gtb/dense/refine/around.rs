@@ -101,7 +101,9 @@ impl Reach {
 
     #[cold]
     fn look_at_the_border(&self, z: &[i32], wrong: &[i16], [y, x]: [isize; 2]) -> Around {
-        let mirror = |v: isize| if v.abs() > self.last { 2 * self.last - v.abs() } else { v.abs() } as usize;
+        // Three posts a side: what is mirrored at one border may lie beyond the other.
+        let back = |v: isize| if v > self.last { (2 * self.last - v).abs() } else { v };
+        let mirror = |v: isize| back(v.abs()) as usize;
         look(z, wrong, |k| mirror(y + self.away[k][0]) * self.side + mirror(x + self.away[k][1]))
     }
 }
