@@ -96,10 +96,6 @@ def build_raw():
     raise SystemExit("cargo built no example 'raw'")
 
 
-class Refused(Exception):
-    """What the program says that it cannot do."""
-
-
 class Raw:
     """The codec on raw grids, in a folder of its own."""
 
@@ -111,7 +107,7 @@ class Raw:
     def run(self, *args):
         done = subprocess.run([self.program, *map(str, args)], capture_output=True, text=True)
         if done.returncode:
-            raise Refused(done.stderr.strip())
+            raise SystemExit(f"{' '.join(map(str, args))}: {done.stderr.strip()}")
         return json.loads(done.stdout)
 
     def encode(self, z, profile, layers):

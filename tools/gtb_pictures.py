@@ -20,7 +20,7 @@ from pathlib import Path
 import imagecodecs as ic
 import numpy as np
 import rasterio
-from compare_gtb import fault, search, steps
+from compare_gtb import fault, least_bound, search, steps
 from gtb_grids import DATA, ELEVATION, ROOT, Raw, build_raw
 from PIL import Image, ImageDraw, ImageFont
 from pydelatin import Delatin
@@ -113,10 +113,9 @@ def gtb(z, raw):
     """The beginning of a stream without loss in the end, whose first layer just fits."""
 
     def code(bound):
-        return raw.encode(z, "cubic", [bound, 0])
+        return raw.encode(z, "adaptive", [bound, 0])
 
-    first = lambda bound: [e[1] for e in code(bound)["ends"] if e[0] == 0][-1]
-    bound = round(-search(lambda b: first(round(-b)), BUDGET, -127, -1))
+    bound = least_bound(lambda e: [end[1] for end in code(e)["ends"] if end[0] == 0][-1], BUDGET)
     whole = code(bound)["bytes"]
     out, said = raw.decode(BUDGET)
     if fault(out, z)[1] > said["error_bound"]:

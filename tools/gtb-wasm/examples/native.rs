@@ -28,7 +28,7 @@ fn streams(folder: &str) -> Any {
     for (name, profile, layers, cols, rows, voids) in [
         ("cubic", Profile::Cubic, vec![0], 513, 513, false),
         ("cubic_layers_voids", Profile::Cubic, vec![13, 4, 1, 0], 300, 201, true),
-        ("cubic_bound", Profile::Cubic, vec![1], 257, 257, false),
+        ("adaptive", Profile::Adaptive, vec![1], 257, 257, false),
     ] {
         let options = Options { layers, ..Options::new(profile, 0) };
         let stream = encode(&ground(cols, rows, voids), &options, &mut Alone, &mut |_| true)?;
