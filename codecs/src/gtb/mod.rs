@@ -24,7 +24,7 @@ mod sparse;
 pub mod surface;
 pub mod texture;
 
-pub use decode::{Decoded, Stop, decode};
+pub use decode::{Decoded, Stop, decode, decode_within};
 pub use dense::Reached;
 pub use encode::{Encoded, Options, PassEnd, Profile, encode};
 pub use field::Given;

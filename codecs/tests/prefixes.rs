@@ -1,0 +1,103 @@
+//! Acceptance G-e: any prefix is a surface, as good as its bound says.
+
+use crate::support::grids::{self, Grid};
+use crate::support::random::Random;
+use crate::support::streams::{DENSE, coded, read, wrong};
+use terraquilt_codecs::Error;
+use terraquilt_codecs::gtb::{Encoded, Heights, Stop};
+
+/// Every byte: an error until the corners are there, then surfaces within their bounds, which only get better.
+fn every_byte(name: &str, heights: &Heights, encoded: &Encoded) {
+    let mut bound = u32::MAX;
+    for cut in 0..=encoded.bytes.len() {
+        match read(&encoded.bytes[..cut], Stop::End) {
+            Ok(d) => {
+                let (most, _) = wrong(heights, &d);
+                assert!(most <= f64::from(d.bound), "{name}, {cut} bytes: {most}, {} was promised", d.bound);
+                assert!(cut == encoded.bytes.len() || !d.complete, "{name}: {cut} bytes are whole");
+                assert!(d.bytes_used as usize <= cut);
+                bound = d.bound;
+            }
+            Err(Error::Short { .. }) => {
+                assert_eq!(bound, u32::MAX, "{name}: {cut} bytes are too few, fewer were not")
+            }
+            Err(e) => panic!("{name}, {cut} bytes: {e}"),
+        }
+    }
+    assert!(bound < u32::MAX);
+}
+
+#[test]
+fn every_byte_of_small_tiles() {
+    let crater = grids::bundled("crater_2005-06-15_10m");
+    let ragged = grids::bundled("survey_2004-10-04_native");
+    for profile in DENSE {
+        for layers in [&[0][..], &[5], &[13, 4, 1]] {
+            for (name, heights) in [
+                ("a square that fits", crater.cut(120, 200, 33, 33)),
+                ("a rectangle", crater.cut(90, 190, 29, 18)),
+                ("voids", ragged.cut(20, 20, 40, 30)),
+                ("one row", crater.cut(30, 30, 60, 1)),
+                ("one post", crater.cut(3, 3, 1, 1)),
+            ] {
+                every_byte(name, &heights, &coded(&heights, profile, layers));
+            }
+        }
+    }
+}
+
+/// Random cuts: within their bounds; the root mean square does not rise from one end of a pass to the next, and by at most 2 % within
+/// a pass.
+fn random_cuts(grid: &Grid, layers: &[u32], cuts: usize) {
+    let mut r = Random::new(11);
+    for profile in DENSE {
+        let encoded = coded(&grid.heights, profile, layers);
+        let n = encoded.passes.len() / layers.len();
+        let at_end = |bytes: u64| wrong(&grid.heights, &read(&encoded.bytes, Stop::Bytes(bytes)).unwrap()).1;
+        let mut rms: Vec<f64> = encoded.passes.iter().map(|p| at_end(p.bytes)).collect();
+        // Before the first pass: the four corners.
+        let corners = (0..).find_map(|b| read(&encoded.bytes, Stop::Bytes(b)).ok()).unwrap();
+        rms.insert(0, wrong(&grid.heights, &corners).1);
+        for (k, two) in rms.windows(2).enumerate() {
+            assert!(
+                two[1] <= two[0] + 1e-9,
+                "{}: {} then {} at the end of pass {k}",
+                grid.name,
+                two[0],
+                two[1]
+            );
+        }
+        for _ in 0..cuts {
+            // As many cuts in coarse passes as in fine ones.
+            let most = (encoded.bytes.len() as f64).ln();
+            let bytes = (most * (0.4 + 0.6 * r.unit())).exp() as u64;
+            let Ok(d) = read(&encoded.bytes, Stop::Bytes(bytes)) else { continue };
+            let (most, now) = wrong(&grid.heights, &d);
+            assert!(
+                most <= f64::from(d.bound),
+                "{}, {bytes} bytes: {most}, {} was promised",
+                grid.name,
+                d.bound
+            );
+            let start = rms[(d.reached.layer * n + d.reached.passes as usize).min(rms.len() - 1)];
+            assert!(
+                now <= start * 1.02 + 1e-9,
+                "{}, {bytes} bytes: {now} from {start}, {:?}",
+                grid.name,
+                d.reached
+            );
+        }
+    }
+}
+
+#[test]
+fn a_thousand_cuts_of_a_big_one() {
+    random_cuts(&grids::bundled("crater_2005-06-15_10m"), &[13, 4, 1, 0], 1000);
+}
+
+#[test]
+fn cuts_of_real_grids() {
+    for grid in grids::all() {
+        random_cuts(&grid, &[4, 0], 60);
+    }
+}
