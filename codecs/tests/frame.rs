@@ -80,7 +80,7 @@ fn a_head_comes_back() {
     let options = Options { layers: vec![4, 1], place: place.clone(), ..Options::new(Profile::Cubic, 0) };
     let bytes = encode(&heights, &options, &mut Alone, &mut |_| true).unwrap().bytes;
     let (header, length) = Header::read(&bytes).unwrap();
-    assert_eq!((header.cols, header.rows, header.lattice.n()), (5, 4, 3));
+    assert_eq!((header.cols, header.rows, header.lattice.n()), (5, 4, 2));
     assert_eq!((&header.layers, &header.place), (&vec![4, 1], &place));
     assert_eq!(header.bytes(), bytes[..length]);
     for cut in 0..length {

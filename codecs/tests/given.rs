@@ -23,7 +23,7 @@ fn held(heights: &Heights, e: u32, step: usize) -> Given {
 fn what_is_given_does_not_travel() {
     let crater = grids::bundled("crater_2005-06-15_10m");
     let ragged = grids::bundled("survey_2004-10-04_native");
-    for heights in [crater.cut(100, 160, 65, 65), crater.cut(60, 100, 70, 40), ragged.cut(10, 10, 60, 50)] {
+    for heights in [crater.cut(100, 160, 65, 65), crater.cut(60, 100, 70, 40), ragged.cut(100, 80, 60, 50)] {
         for profile in DENSE {
             for (e, layers) in [(0, &[0][..]), (2, &[2]), (0, &[4, 1, 0]), (10, &[1])] {
                 let given = held(&heights, e, 4);

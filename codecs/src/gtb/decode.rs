@@ -3,7 +3,7 @@
 use super::companion::Companion;
 use super::dense::{self, Reached};
 use super::encode::{PassEnd, Profile};
-use super::field::{Field, Given, Status};
+use super::field::{Field, Given, SHOWN_WHOLE, Status};
 use super::header::{BLOCK, Header, unblocked};
 use super::{mask, sparse, surface};
 use crate::range::Decoder;
@@ -142,7 +142,8 @@ impl Decoded {
         self.status.get(at) == Some(&Status::Free)
     }
 
-    /// Which posts of the lattice carry a height of the stream (of voids: a prediction), as far as it was read.
+    /// Which posts of the lattice carry a height of the stream (of voids: a prediction), as far as it was read; of the first
+    /// [`SHOWN_WHOLE`] passes only whole ones count.
     pub fn known(&self) -> Vec<bool> {
         let (lattice, side) = (self.header.lattice, self.header.lattice.side());
         let mut known = vec![false; side * side];
@@ -151,7 +152,7 @@ impl Decoded {
             let whole = self.reached.layer > 0 || (k as u32) < self.reached.passes;
             let some = if whole {
                 usize::MAX
-            } else if k as u32 == self.reached.passes {
+            } else if k as u32 == self.reached.passes && k as u32 >= SHOWN_WHOLE {
                 self.reached.posts
             } else {
                 0

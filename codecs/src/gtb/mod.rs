@@ -27,6 +27,6 @@ pub mod texture;
 pub use decode::{Decoded, Stop, decode, decode_within};
 pub use dense::Reached;
 pub use encode::{Encoded, Options, PassEnd, Profile, encode};
-pub use field::Given;
+pub use field::{Given, SHOWN_WHOLE};
 pub use header::Header;
 pub use heights::{Heights, Place};

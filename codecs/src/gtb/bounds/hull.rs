@@ -14,6 +14,8 @@ pub(super) const FRACTION: u32 = 4;
 pub(super) enum Between {
     /// Centres may or may not have come, edges have not.
     SomeCentres,
+    /// Centres have come, edges have not.
+    Centres,
     /// Centres have come, edges may have.
     SomeEdges,
     /// None has come.
@@ -95,8 +97,10 @@ impl Hull {
         let n = low.len();
         match (between, y % 2) {
             (Between::SomeCentres, 1) | (Between::SomeEdges, 0) => widen(low, high, ground, from, step, 1),
-            (Between::SomeEdges, _) => {
-                widen(low, high, ground, from, step, 0);
+            (Between::SomeEdges | Between::Centres, 1) => {
+                if between == Between::SomeEdges {
+                    widen(low, high, ground, from, step, 0);
+                }
                 for x in (1..n).step_by(2) {
                     low[x] = ground.low[from + x * step];
                     high[x] = ground.high[from + x * step];

@@ -21,6 +21,9 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     mark: Mark<C>,
 ) -> Result<Reached> {
     let (lattice, side) = (header.lattice, header.lattice.side());
+    if lattice.n() == 0 {
+        return Ok(Reached { corners: true, ..Reached::NOTHING });
+    }
     let corners = lattice.corners().map(|[y, x]| field.z[y * side + x]);
     let mut work = Work {
         z: Planes::new(corners),

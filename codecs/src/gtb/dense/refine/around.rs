@@ -101,7 +101,7 @@ impl Reach {
 
     #[cold]
     fn look_at_the_border(&self, z: &[i32], wrong: &[i16], [y, x]: [isize; 2]) -> Around {
-        let mirror = |v: isize| if v.abs() > self.last { 2 * self.last - v.abs() } else { v.abs() } as usize;
+        let mirror = |v: isize| if v.abs() > self.last { 2 * self.last - v.abs() } else { v }.unsigned_abs();
         look(z, wrong, |k| mirror(y + self.away[k][0]) * self.side + mirror(x + self.away[k][1]))
     }
 }
