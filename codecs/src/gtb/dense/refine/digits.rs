@@ -6,7 +6,7 @@ use crate::lattice::{Kind, Pass};
 use crate::range::Coder;
 
 /// Contexts that speak on a decision: a guess each, and the first two together.
-const OPINIONS: usize = 4;
+const OPINIONS: usize = 5;
 /// Classes of what a guess is likely to be wrong by: two an octave.
 const CLASSES: usize = 16;
 /// Places of a boundary against a guess, of one and the joint context.
@@ -16,7 +16,7 @@ const FINE: i64 = 24;
 /// The same for the joint context, which has half the places each way and half the classes.
 const ROUGH: i64 = 6;
 /// Contexts of guesses of a shape.
-const SINGLE: usize = 3 * CLASSES * PLACES;
+const SINGLE: usize = 4 * CLASSES * PLACES;
 /// Contexts of a shape of decisions.
 const SHAPE: usize = SINGLE + CLASSES / 2 * PLACES / 2 * PLACES / 2;
 /// Shapes: the interval has three parts, two, more.
@@ -105,7 +105,7 @@ impl Digits {
             let half = PLACES as i64 / 4;
             let joint =
                 (class / 2 * (PLACES / 2) + place(0, rough, half)) * (PLACES / 2) + place(1, rough, half);
-            let contexts = [single(0), single(1), single(2), base + SINGLE + joint];
+            let contexts = [single(0), single(1), single(2), single(3), base + SINGLE + joint];
             let weights = &mut self.weights[shape * GROUPS + group];
             if mixing::code(c, &mut self.counts, contexts, weights, part >= cut) {
                 low = cut;
