@@ -50,6 +50,9 @@ const fn logit() -> [i16; 4096] {
 /// Decisions seen after which a [`Count`] learns no slower.
 const SEEN_MAX: u32 = 250;
 
+/// Decisions that a [`Count`] keeps of an earlier subject.
+const DOUBT: u32 = 20;
+
 /// The probability of a one in a context: 22 bits, and in the low 10 how many decisions were seen.
 #[derive(Clone, Copy)]
 pub(super) struct Count(u32);
@@ -68,6 +71,11 @@ static RATES: [u16; SEEN_MAX as usize + 1] = {
 impl Count {
     /// As likely as not.
     pub const NEW: Count = Count(1 << 31);
+
+    /// From here on it learns as after [`DOUBT`] decisions, if it has seen more.
+    pub fn doubt(&mut self) {
+        self.0 = self.0 & !1023 | (self.0 & 1023).min(DOUBT);
+    }
 
     /// Codes one decision by this context alone.
     #[inline(always)]
