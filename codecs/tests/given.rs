@@ -29,12 +29,10 @@ fn what_is_given_does_not_travel() {
                 let given = held(&heights, e, 4);
                 let alone = coded(&heights, profile, layers).bytes;
                 let encoded = refining(&heights, profile, layers, Some(&given));
-                assert!(
-                    encoded.bytes.len() < alone.len(),
-                    "{} bytes, {} alone",
-                    encoded.bytes.len(),
-                    alone.len()
-                );
+                // Heights that are worse than the stream's own make bad neighbours.
+                if e <= layers[0] {
+                    assert!(encoded.bytes.len() < alone.len(), "{layers:?} over {e}");
+                }
                 let d = read_with(&encoded.bytes, Stop::End, Some(&given)).unwrap();
                 assert!(d.complete && d.z == encoded.z);
                 assert_eq!(wrong(&heights, &d).0, f64::from(d.bound));

@@ -79,13 +79,8 @@ fn random_cuts(grid: &Grid, layers: &[u32], cuts: usize) {
         let at_end = |bytes: u64| wrong(&grid.heights, &read(&encoded.bytes, Stop::Bytes(bytes)).unwrap()).1;
         rms.extend(encoded.passes[n..].iter().map(|p| at_end(p.bytes)));
         for (k, two) in rms.windows(2).enumerate() {
-            assert!(
-                two[1] <= two[0] + 1e-9,
-                "{}: {} then {} at the end of pass {k}",
-                grid.name,
-                two[0],
-                two[1]
-            );
+            let (before, after, may) = (two[0], two[1], if k < FEW { 1.2 } else { 1.0 });
+            assert!(after <= before * may + 1e-9, "{}: {before}, {after} after pass {k}", grid.name);
         }
         for _ in 0..cuts {
             // As many cuts in coarse passes as in fine ones.
@@ -118,6 +113,6 @@ fn a_thousand_cuts_of_a_big_one() {
 #[test]
 fn cuts_of_real_grids() {
     for grid in grids::all() {
-        random_cuts(&grid, &[4, 0], 60);
+        random_cuts(&grid, &[4, 0], 40);
     }
 }

@@ -26,10 +26,26 @@ const NEXT_OUTER: usize = 20;
 
 /// The twenty posts within sqrt(5), by distance.
 const RINGS: Away<20> = [
-    [-1, 0], [0, -1], [0, 1], [1, 0],
-    [-1, -1], [-1, 1], [1, -1], [1, 1],
-    [-2, 0], [0, -2], [0, 2], [2, 0],
-    [-2, -1], [-2, 1], [-1, -2], [-1, 2], [1, -2], [1, 2], [2, -1], [2, 1],
+    [-1, 0],
+    [0, -1],
+    [0, 1],
+    [1, 0],
+    [-1, -1],
+    [-1, 1],
+    [1, -1],
+    [1, 1],
+    [-2, 0],
+    [0, -2],
+    [0, 2],
+    [2, 0],
+    [-2, -1],
+    [-2, 1],
+    [-1, -2],
+    [-1, 2],
+    [1, -2],
+    [1, 2],
+    [2, -1],
+    [2, 1],
 ];
 
 /// Offsets of neighbours in a pass.
@@ -127,7 +143,9 @@ fn look(z: &[i32], wrong: &[i16], at: impl Fn(usize) -> usize) -> Around {
     let first = cubic(near, OUTER);
     let second = cubic([0, 1, 2, 3].map(|k| z[at(NEXT + k)]), NEXT_OUTER);
     let own_z = near[0];
-    let ring = |from: usize, n: usize| (from..from + n).map(|k| i64::from(z[at(SMOOTH + k)].wrapping_sub(own_z))).sum::<i64>();
+    let ring = |from: usize, n: usize| {
+        (from..from + n).map(|k| i64::from(z[at(SMOOTH + k)].wrapping_sub(own_z))).sum::<i64>()
+    };
     let smooth = 208 * ring(0, 4) + 144 * ring(4, 4) + 12 * ring(8, 4) - 54 * ring(12, 8);
     let smooth = own_z.wrapping_mul(32).wrapping_add((smooth >> 5) as i32);
     let own = [0, 1, 2, 3].map(|k| i32::from(wrong[at(OWN + k)]));
@@ -138,5 +156,8 @@ fn look(z: &[i32], wrong: &[i16], at: impl Fn(usize) -> usize) -> Around {
     let most = near[0].max(near[1]).max(near[2].max(near[3]));
     let least = near[0].min(near[1]).min(near[2].min(near[3]));
     let spread = most.wrapping_sub(least).max(0) as u32;
-    Around { guesses: [first, second, third, smooth], activity: far_wrong / 2 + own_wrong + spread.min(1 << 20) }
+    Around {
+        guesses: [first, second, third, smooth],
+        activity: far_wrong / 2 + own_wrong + spread.min(1 << 20),
+    }
 }
