@@ -126,19 +126,15 @@ pub(super) fn code<C: Coder, const N: usize>(
     bit: bool,
 ) -> bool {
     let logits = contexts.map(|k| counts[k].logit());
-    let mut sum = 0i64;
-    for k in 0..N {
-        sum += i64::from(logits[k]) * i64::from(weights.of[k]);
-    }
+    let sum: i64 = logits.iter().zip(&weights.of).map(|(l, w)| i64::from(*l) * i64::from(*w)).sum();
     let x = ((sum >> 16) as i32).clamp(-LOGIT_MAX, LOGIT_MAX);
     let p = i32::from(LOGISTIC[(x + 2048) as usize]);
     let bit = c.bit((p as u32).clamp(32, ONE - 32), bit);
     let error = if bit { ONE as i32 - p } else { -p };
     let rate = 2 + 14 * 64 / (64 + weights.seen as i32);
     weights.seen = (weights.seen + 1).min(4096);
-    for k in 0..N {
-        let w = weights.of[k] + ((logits[k] * (error >> 2) * rate + (1 << 15)) >> 16);
-        weights.of[k] = w.clamp(-WEIGHT_MAX, WEIGHT_MAX);
+    for (w, logit) in weights.of.iter_mut().zip(logits) {
+        *w = (*w + ((logit * (error >> 2) * rate + (1 << 15)) >> 16)).clamp(-WEIGHT_MAX, WEIGHT_MAX);
     }
     for k in contexts {
         counts[k].update(bit);

@@ -64,7 +64,7 @@ impl Hull {
             low: Vec::with_capacity(side * side),
             high: Vec::with_capacity(side * side),
         };
-        self.rows(ground, between, &mut |_, low, high| {
+        self.rows(ground, between, |_, low, high| {
             out.low.extend_from_slice(low);
             out.high.extend_from_slice(high);
         });
@@ -72,7 +72,7 @@ impl Hull {
     }
 
     /// The rows at half the step, one after the other, with their numbers.
-    pub fn rows(&self, ground: &Ground, between: Between, take: &mut dyn FnMut(usize, &[i32], &[i32])) {
+    pub fn rows(&self, ground: &Ground, between: Between, mut take: impl FnMut(usize, &[i32], &[i32])) {
         let fine = 2 * self.side - 1;
         let (mut low, mut high, mut diagonals) = (vec![0; fine], vec![0; fine], vec![0; fine]);
         for y in 0..fine {
@@ -109,7 +109,8 @@ impl Hull {
             _ => {}
         }
         if !ground.status.is_empty() {
-            for x in (1 - y % 2..n).step_by(1 + usize::from(y % 2 == 0)) {
+            let (first, every) = if y.is_multiple_of(2) { (1, 2) } else { (0, 1) };
+            for x in (first..n).step_by(every) {
                 let at = from + x * step;
                 if ground.status[at] == Status::Given {
                     low[x] = ground.low[at];

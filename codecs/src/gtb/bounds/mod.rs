@@ -129,7 +129,7 @@ impl All<'_> {
             between = Between::Nothing;
         }
         let mut worst = 0;
-        hull.rows(&self.ground, between, &mut |y, low, high| {
+        hull.rows(&self.ground, between, |y, low, high| {
             if y < self.header.rows {
                 worst = worst.max(self.row(y, low, high));
             }
@@ -161,7 +161,7 @@ impl Cells {
         let side = all.ground.side;
         let mut above = vec![EMPTY; side];
         let mut below = vec![EMPTY; side];
-        hull.rows(&all.ground, Between::Nothing, &mut |y, low, high| {
+        hull.rows(&all.ground, Between::Nothing, |y, low, high| {
             if y >= all.header.rows {
                 return;
             }
@@ -357,7 +357,7 @@ mod tests {
         };
         let z = spread(&heights, lattice);
         let mut field = Field::new(&header, Some(&held)).expect("the same state");
-        for at in 0..posts {
+        for (at, z) in z.iter().enumerate() {
             let (y, x) = (at / lattice.side(), at % lattice.side());
             if void && y < rows && x < cols && heights.void[y * cols + x] && field.status(at) == Status::Coded
             {
@@ -366,7 +366,7 @@ mod tests {
             match field.status(at) {
                 Status::Given => {}
                 Status::Free => field.z[at] = random(3 * rough) - rough,
-                Status::Coded => field.z[at] = z[at] + random(9) - 4,
+                Status::Coded => field.z[at] = z + random(9) - 4,
             }
         }
         if selected {
