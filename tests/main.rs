@@ -46,3 +46,5 @@ mod replacement;
 mod resampled;
 /// Seams between surveys that disagree: off they cost nothing, on they do not show.
 mod seams;
+/// The surface as a progressive stream.
+mod streams;

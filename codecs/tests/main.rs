@@ -1,10 +1,12 @@
 //! One test binary; a module a subject.
 
+mod adaptive;
 mod bitree;
 mod damage;
 mod frame;
 mod given;
 mod layers;
 mod prefixes;
+mod sparse;
 mod support;
 mod voids;

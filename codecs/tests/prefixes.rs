@@ -2,7 +2,7 @@
 
 use crate::support::grids::{self, Grid};
 use crate::support::random::Random;
-use crate::support::streams::{DENSE, coded, read, whole, wrong};
+use crate::support::streams::{DENSE, coded, every, read, whole, wrong};
 use terraquilt_codecs::Error;
 use terraquilt_codecs::gtb::{Decoded, Encoded, Heights, Stop, surface};
 
@@ -82,7 +82,7 @@ fn random_cuts(grid: &Grid, layers: &[u32], cuts: usize) {
             let (before, after, may) = (two[0], two[1], if k < FEW { 1.2 } else { 1.0 });
             assert!(after <= before * may + 1e-9, "{}: {before}, {after} after pass {k}", grid.name);
         }
-        for _ in 0..cuts {
+        for _ in 0..cuts / every(profile) {
             // As many cuts in coarse passes as in fine ones.
             let most = (encoded.bytes.len() as f64).ln();
             let bytes = (most * (0.4 + 0.6 * r.unit())).exp() as u64;

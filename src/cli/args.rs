@@ -212,6 +212,19 @@ impl ToleranceArgs {
     }
 }
 
+/// Numbers between commas.
+pub fn listed(what: &str, text: &str) -> Result<Vec<f64>> {
+    let found: Vec<f64> = text
+        .split(',')
+        .map(|t| t.trim().parse::<f64>())
+        .collect::<std::result::Result<_, _>>()
+        .map_err(|_| Error::invalid(what, format!("'{text}' is not numbers between commas")))?;
+    match found.iter().any(|v| !v.is_finite()) {
+        true => Err(Error::invalid(what, format!("'{text}' holds a number that is not finite"))),
+        false => Ok(found),
+    }
+}
+
 /// N numbers between commas.
 pub fn numbers<const N: usize>(what: &str, text: &str) -> Result<[f64; N]> {
     let found: Vec<f64> = text

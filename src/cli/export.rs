@@ -5,10 +5,12 @@ use super::mesh::{self, Packing};
 use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::reader::Reader;
 use super::remote::Remote;
+use super::stream::StreamArgs;
 use crate::base::{Error, Result, limits};
 use crate::client;
 use crate::db::query::Query;
 use crate::export::{FileRequest, Form, Going, Place, Written, write_samples, write_surface};
+use crate::height::surface::Seams;
 use crate::wire::v1;
 use clap::Args;
 use serde::Serialize;
@@ -17,10 +19,10 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-/// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief
+/// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief, .gtb stream
 #[derive(Args)]
 #[command(
-    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills small.glb --error 2 --quantize\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
+    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills small.glb --error 2 --quantize\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills hills.gtb --error 2      # a stream: whole after any byte, errors at posts certified\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
 )]
 #[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "error_raster", "focus", "survey"])))]
 pub struct Export {
@@ -41,12 +43,15 @@ pub struct Export {
     /// With --survey: this tile, by file name or key
     #[arg(long, value_name = "T", requires = "survey")]
     tile: Option<String>,
-    /// .tif and .png: pixel size in units of the CRS, or of --coords (X or X,Y); without it a .tif is as fine as the finest
-    /// survey there, its pixels on the posts of one that lies north-up
+    /// .tif, .png and .gtb: pixel size, or spacing of posts, in units of the CRS, or of --coords (X or X,Y); the posts of a .gtb
+    /// lie at whole multiples of it. Without it a .tif or .gtb is as fine as the finest survey there, its pixels on the posts
+    /// of one that lies north-up
     #[arg(long, value_name = "X[,Y]")]
     step: Option<String>,
     #[command(flatten)]
     packing: Packing,
+    #[command(flatten)]
+    stream: StreamArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -66,6 +71,10 @@ impl Export {
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         self.packing().only_for_glb(&ending)?;
+        if ending == "gtb" && self.survey.is_none() {
+            return self.stream(&reader);
+        }
+        self.stream.only_for_gtb()?;
         if let Some(name) = &self.survey {
             if Form::of_ending(&ending) != Some(Form::GeoTiff) {
                 return Err(Error::invalid(
@@ -103,7 +112,7 @@ impl Export {
                 } else {
                     format!("ending '.{ending}' is no format that is written")
                 },
-                "name a .glb, .tif or .png file",
+                "name a .glb, .tif, .png or .gtb file",
             )
         })?;
         let ground = reader.ground()?;
@@ -167,6 +176,25 @@ impl Export {
         end.notes.iter().for_each(|n| message(&format!("note: {n}")));
         let written: Written = r.line.read(end.json.as_bytes())?;
         self.print(&written, form, end.bytes)
+    }
+
+    /// The surface as a stream.
+    fn stream(&self, reader: &Reader) -> Result<bool> {
+        let ground = reader.ground()?;
+        let place = self.region.place(ground)?;
+        let query = self.tolerance.inner.query(&place, ground, Seams::Off)?;
+        match reader {
+            Reader::Disk(_, s) => self.stream.on_disk(
+                s,
+                (&self.out, self.json),
+                self.stream.request(place, query, self.step()?)?,
+            ),
+            Reader::Server(r) => {
+                let asked = self.request(Form::GeoTiff, &place, &query)?;
+                let known = place.coords.map_or(Vec::new(), |c| c.notes);
+                self.stream.on_server(r, (&self.out, self.json), (asked, known), self.at)
+            }
+        }
     }
 
     fn packing(&self) -> crate::export::Packing {

@@ -7,6 +7,7 @@ mod args;
 mod ask;
 mod care;
 mod export;
+mod gtb;
 mod ingest;
 mod line;
 mod measure;
@@ -19,6 +20,7 @@ mod question;
 mod reader;
 mod remote;
 mod send;
+mod stream;
 mod tolerance;
 mod upkeep;
 
@@ -72,6 +74,7 @@ enum Command {
     Backup(upkeep::Backup),
     Copy(upkeep::Copy),
     Rebuild(upkeep::Rebuild),
+    Gtb(gtb::Gtb),
 }
 
 /// A word of the command line that another room carries out.
@@ -80,8 +83,9 @@ pub struct Door {
     pub run: fn(&ArgMatches) -> Result<bool>,
 }
 
-/// Words that work on the files of a database, or make one.
-const DISK_ONLY: [&str; 8] = ["backup", "compact", "copy", "demo", "init", "rebuild", "serve", "token"];
+/// Words that work on files: of a database, or others.
+const DISK_ONLY: [&str; 9] =
+    ["backup", "compact", "copy", "demo", "gtb", "init", "rebuild", "serve", "token"];
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
 pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCode {
@@ -162,6 +166,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
         Command::Backup(c) => c.run(),
         Command::Copy(c) => c.run(),
         Command::Rebuild(c) => c.run(),
+        Command::Gtb(c) => c.run(),
     };
     finish(done)
 }

@@ -132,6 +132,7 @@ impl Connection {
         watch: watch_client::WatchClient,
         heights: heights_client::HeightsClient,
         export: export_client::ExportClient,
+        streams: streams_client::StreamsClient,
     }
 
     /// A status as an error of this server.

@@ -4,6 +4,7 @@
 //! - [`catalog`]: what is in the database, changes without samples; [`query`]: patches, differences;
 //! - [`ingest`]: sends surveys;
 //! - [`heights`]: points, lines and rasters; [`watch`]: commits as they happen; [`export`]: files;
+//! - [`stream`]: the surface as a stream that goes on where it broke off;
 //! - [`view`]: a view that the server keeps in step.
 
 pub mod catalog;
@@ -12,6 +13,7 @@ pub mod export;
 pub mod heights;
 pub mod ingest;
 pub mod query;
+pub mod stream;
 pub mod view;
 pub mod watch;
 

@@ -3,6 +3,7 @@
 //! - [`Coords`], [`Place`]: where, in coordinates of the user's choice; [`Raster`]: the surface over a raster
 //! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
 //!   samples, bit for bit; [`Written`]: what there is to say of it
+//! - [`StreamRequest`], [`stream()`]: the surface as one progressive stream (GTB)
 //! - [`drape`]: a picture onto the cells of a lattice; [`gtb`]: heights to GTB and back
 
 pub mod drape;
@@ -11,11 +12,13 @@ pub mod gtb;
 mod mesh;
 mod place;
 mod raster;
+mod stream;
 
 pub use file::{FileRequest, Form, Written, write_samples, write_surface};
 pub use mesh::{MeshFound, Packing, write_mesh};
 pub use place::{Coords, Place, whereabouts};
 pub use raster::Raster;
+pub use stream::{Choice, Refined, Stream, StreamRequest, Told, stream, version_of};
 
 use crate::base::{Error, Result};
 

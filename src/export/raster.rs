@@ -5,7 +5,7 @@ use super::{Going, go_on};
 use crate::base::polygon::Polygon;
 use crate::base::{Error, Result, limits};
 use crate::db::query::Query;
-use crate::db::{Snapshot, metres_per_unit};
+use crate::db::{Snapshot, SurveyEntry, metres_per_unit};
 use crate::height::crs::{AxisUnit, Crs};
 use crate::height::lod::{Geometry, KERNEL, MARGIN};
 
@@ -23,6 +23,17 @@ pub struct Raster<'a> {
     coords: Option<&'a Coords>,
     /// Pixels whose centres lie outside are empty.
     mask: Option<&'a Polygon>,
+}
+
+/// Errors that were met at the posts of a raster.
+#[derive(Clone, Copy, Debug)]
+pub struct Met {
+    /// The least certified error in metres; infinite where none was met.
+    pub least: f64,
+    /// The largest.
+    pub most: f64,
+    /// Posts with data in the rim outside every survey's core: certified nowhere.
+    pub uncertified: u64,
 }
 
 impl<'a> Raster<'a> {
@@ -46,49 +57,62 @@ impl<'a> Raster<'a> {
     /// Pixels as fine as the finest survey of the place. Without `--coords` they are centred on the posts of the finest
     /// survey there whose columns run north, if there is one: at tolerance 0 its samples come out.
     pub fn as_fine_as_posts(s: &Snapshot, place: &'a Place) -> Result<Raster<'a>> {
-        let b = bounds(s, place)?;
-        let near = place.area.bounds().or_else(|| s.bounds()).unwrap_or(b);
-        let size = s.unit().size();
-        let met = |g: &Geometry| {
-            let c = g.bounds();
-            let (low, high) = (c.min, c.max);
-            low.x as f64 * size <= near[2]
-                && near[0] <= high.x as f64 * size
-                && low.y as f64 * size <= near[3]
-                && near[1] <= high.y as f64 * size
-        };
-        let area = |g: &&Geometry| g.steps[0] * g.steps[1];
-        let finest = |pass: &dyn Fn(&Geometry) -> bool| {
-            let found = s.entries().map(|e| &e.geometry).filter(|g| pass(g));
-            found.min_by(|g, h| area(g).total_cmp(&area(h)).then(h.precedence.cmp(&g.precedence)))
-        };
-        let upright = |g: &Geometry| g.frame.u.y == 0 && g.frame.v.x == 0;
-        if place.coords.is_none()
-            && let Some(g) = finest(&|g| met(g) && upright(g))
-        {
-            // Posts at anchor + k step; those within the region.
-            let frame = &g.frame;
-            let anchor = [frame.anchor.x as f64 * size, frame.anchor.y as f64 * size];
-            let step = [frame.u.x as f64 * size, frame.v.y as f64 * size].map(f64::abs);
-            let first = [0, 1].map(|k| ((b[k] - anchor[k]) / step[k] - 1e-6).ceil());
-            let last = [0, 1].map(|k| ((b[k + 2] - anchor[k]) / step[k] + 1e-6).floor());
-            if first[0] <= last[0] && first[1] <= last[1] {
-                let origin = [anchor[0] + first[0] * step[0], anchor[1] + last[1] * step[1]];
-                let raster =
-                    Raster { origin, step, cols: 1, rows: 1, coords: None, mask: place.mask.as_deref() };
-                return raster.sized(last[0] - first[0] + 1.0, last[1] - first[1] + 1.0);
+        match Raster::on_posts(s, place)? {
+            Some((raster, _)) => {
+                let (cols, rows) = (raster.cols as f64, raster.rows as f64);
+                raster.sized(cols, rows)
             }
+            None => Raster::new(s, place, finest_step(s, place)?, 1),
         }
-        let g = finest(&met).or_else(|| finest(&|_| true));
-        let step = g.map(|g| match &place.coords {
-            None => g.steps,
-            Some(c) => {
-                let from = metres_per_unit(s.crs().unit, middle(near));
-                let to = metres_per_unit(c.crs.unit, middle(b));
-                [0, 1].map(|k| g.steps[k] * from[k] / to[k])
-            }
-        });
-        Raster::new(s, place, step, 1)
+    }
+
+    /// Pixels centred on the posts of the finest survey there whose columns run north, and its name; `None` if there is none,
+    /// none of its posts lies in the region, or the place has coordinates of its own. The caller limits their number.
+    pub fn on_posts(s: &Snapshot, place: &'a Place) -> Result<Option<(Raster<'a>, String)>> {
+        let b = bounds(s, place)?;
+        let size = s.unit().size();
+        let upright = |g: &Geometry| g.frame.u.y == 0 && g.frame.v.x == 0;
+        let met = meets(s, place, b);
+        let Some(e) = finest(s, |g| met(g) && upright(g)).filter(|_| place.coords.is_none()) else {
+            return Ok(None);
+        };
+        // Posts at anchor + k step; those within the region.
+        let frame = &e.geometry.frame;
+        let anchor = [frame.anchor.x as f64 * size, frame.anchor.y as f64 * size];
+        let step = [frame.u.x as f64 * size, frame.v.y as f64 * size].map(f64::abs);
+        let found = Raster::on_lattice(place, b, anchor, step)?;
+        Ok(found.map(|raster| (raster, e.name.clone())))
+    }
+
+    /// Pixels centred on whole multiples of a step, those within the region; `None` if there is none. The caller limits their
+    /// number.
+    pub fn on_multiples(s: &Snapshot, place: &'a Place, step: [f64; 2]) -> Result<Option<Raster<'a>>> {
+        Raster::on_lattice(place, bounds(s, place)?, [0.0; 2], step)
+    }
+
+    /// Those of the points `anchor + k step` that lie in a box.
+    fn on_lattice(
+        place: &'a Place,
+        b: [f64; 4],
+        anchor: [f64; 2],
+        step: [f64; 2],
+    ) -> Result<Option<Raster<'a>>> {
+        let first = [0, 1].map(|k| ((b[k] - anchor[k]) / step[k] - 1e-6).ceil());
+        let last = [0, 1].map(|k| ((b[k + 2] - anchor[k]) / step[k] + 1e-6).floor());
+        if !(first[0] <= last[0] && first[1] <= last[1]) {
+            return Ok(None);
+        }
+        let origin = [anchor[0] + first[0] * step[0], anchor[1] + last[1] * step[1]];
+        let (coords, mask) = (place.coords.as_ref(), place.mask.as_deref());
+        let count = |k: usize| (last[k] - first[k] + 1.0) as usize;
+        Ok(Some(Raster { origin, step, cols: count(0), rows: count(1), coords, mask }))
+    }
+
+    /// As many more columns in the west, rows in the north.
+    pub fn grown(self, west: usize, north: usize) -> Raster<'a> {
+        let origin =
+            [self.origin[0] - west as f64 * self.step[0], self.origin[1] + north as f64 * self.step[1]];
+        Raster { origin, cols: self.cols + west, rows: self.rows + north, ..self }
     }
 
     fn sized(self, cols: f64, rows: f64) -> Result<Raster<'a>> {
@@ -148,7 +172,21 @@ impl<'a> Raster<'a> {
         going: Going,
         mut f: impl FnMut(usize, usize, &[f32]) -> Result<()>,
     ) -> Result<f64> {
-        let mut error: f64 = 0.0;
+        let met = self.doubles(s, query, going, |row0, rows, z| {
+            f(row0, rows, &z.iter().map(|z| *z as f32).collect::<Vec<f32>>())
+        });
+        met.map(|m| m.most)
+    }
+
+    /// As [`Raster::heights`], as they are computed.
+    pub fn doubles(
+        &self,
+        s: &Snapshot,
+        query: &Query,
+        going: Going,
+        mut f: impl FnMut(usize, usize, &[f64]) -> Result<()>,
+    ) -> Result<Met> {
+        let mut met = Met { least: f64::INFINITY, most: 0.0, uncertified: 0 };
         for row0 in (0..self.rows).step_by(BAND) {
             go_on(going, "heights", row0 as f64 / self.rows as f64)?;
             let rows = BAND.min(self.rows - row0);
@@ -157,21 +195,27 @@ impl<'a> Raster<'a> {
                 let xs: Vec<f64> = (0..self.cols).map(|c| self.center(c, row0)[0]).collect();
                 let ys: Vec<f64> = (row0..row0 + rows).map(|r| self.center(0, r)[1]).collect();
                 found = s.grid(&xs, &ys, &query.tolerance, query.how)?;
-                z = found.z.iter().map(|z| *z as f32).collect::<Vec<f32>>();
+                z = found.z.clone();
             } else {
                 let points;
                 (which, points) = self.points(row0..row0 + rows);
                 found = s.planes(&points, &query.tolerance, query.how)?;
-                z = vec![f32::NAN; rows * self.cols];
+                z = vec![f64::NAN; rows * self.cols];
                 for (k, height) in which.into_iter().zip(&found.z) {
-                    z[k] = *height as f32;
+                    z[k] = *height;
                 }
             }
-            let certified = (0..found.len()).filter(|k| found.is_certified(*k));
-            error = certified.map(|k| found.error_m[k]).fold(error, f64::max);
+            for k in (0..found.len()).filter(|k| !found.z[*k].is_nan()) {
+                if found.is_certified(k) {
+                    met.least = met.least.min(found.error_m[k]);
+                    met.most = met.most.max(found.error_m[k]);
+                } else {
+                    met.uncertified += 1;
+                }
+            }
             f(row0, rows, &z)?;
         }
-        Ok(error)
+        Ok(met)
     }
 
     /// log2 of the side in metres of the patch that weighs most at each pixel; NaN where there is none.
@@ -191,6 +235,44 @@ impl<'a> Raster<'a> {
         }
         Ok(out)
     }
+}
+
+/// Whether a survey's core may lie in a place.
+fn meets(s: &Snapshot, place: &Place, b: [f64; 4]) -> impl Fn(&Geometry) -> bool + use<> {
+    let near = place.area.bounds().or_else(|| s.bounds()).unwrap_or(b);
+    let size = s.unit().size();
+    move |g| {
+        let c = g.bounds();
+        let (low, high) = (c.min, c.max);
+        low.x as f64 * size <= near[2]
+            && near[0] <= high.x as f64 * size
+            && low.y as f64 * size <= near[3]
+            && near[1] <= high.y as f64 * size
+    }
+}
+
+/// The survey with the densest posts.
+fn finest(s: &Snapshot, pass: impl Fn(&Geometry) -> bool) -> Option<&SurveyEntry> {
+    let area = |g: &Geometry| g.steps[0] * g.steps[1];
+    s.entries().filter(|e| pass(&e.geometry)).min_by(|a, b| {
+        let (g, h) = (&a.geometry, &b.geometry);
+        area(g).total_cmp(&area(h)).then(h.precedence.cmp(&g.precedence))
+    })
+}
+
+/// The steps of the finest survey of a place, or of all, in the coordinates of the answer.
+pub fn finest_step(s: &Snapshot, place: &Place) -> Result<Option<[f64; 2]>> {
+    let b = bounds(s, place)?;
+    let near = place.area.bounds().or_else(|| s.bounds()).unwrap_or(b);
+    let found = finest(s, meets(s, place, b)).or_else(|| finest(s, |_| true));
+    Ok(found.map(|e| match &place.coords {
+        None => e.geometry.steps,
+        Some(c) => {
+            let from = metres_per_unit(s.crs().unit, middle(near));
+            let to = metres_per_unit(c.crs.unit, middle(b));
+            [0, 1].map(|k| e.geometry.steps[k] * from[k] / to[k])
+        }
+    }))
 }
 
 fn crs<'a>(s: &'a Snapshot, coords: Option<&'a Coords>) -> &'a Crs {

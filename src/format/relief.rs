@@ -74,12 +74,24 @@ const BLOCK_ROWS: usize = 128;
 /// [`Error::Invalid`] if an array does not have `cols` times `rows` values or the size is zero,
 /// [`Error::Limit`] above [`limits::RASTER_POSTS_MAX`], [`Error::Io`] from `out`.
 pub fn write_relief(out: &mut dyn Write, relief: &Relief) -> Result<()> {
+    write_painted_relief(out, relief, None)
+}
+
+/// As [`write_relief`], with a colour of its own (sRGB) for each pixel that has one.
+///
+/// # Errors
+/// As [`write_relief`]; [`Error::Invalid`] if there is not one entry a pixel.
+pub fn write_painted_relief(
+    out: &mut dyn Write,
+    relief: &Relief,
+    paint: Option<&[Option<[u8; 3]>]>,
+) -> Result<()> {
     let Relief { cols, rows, .. } = *relief;
     let count = cols as u64 * rows as u64;
     if count > limits::RASTER_POSTS_MAX {
         return Err(Error::limit("pixels of a picture", limits::RASTER_POSTS_MAX, count));
     }
-    let lengths = [Some(relief.z.len()), relief.class.map(<[f32]>::len)];
+    let lengths = [Some(relief.z.len()), relief.class.map(<[f32]>::len), paint.map(<[_]>::len)];
     if count == 0 || lengths.into_iter().flatten().any(|n| n as u64 != count) {
         return Err(Error::invalid(
             "relief",
@@ -102,7 +114,7 @@ pub fn write_relief(out: &mut dyn Write, relief: &Relief) -> Result<()> {
         block
             .par_chunks_mut(cols * 4)
             .enumerate()
-            .for_each(|(r, line)| draw_row(relief, &ink, first + r, line));
+            .for_each(|(r, line)| draw_row(relief, paint, &ink, first + r, line));
         stream.write_all(&block).map_err(|e| Error::io("PNG", e))?;
     }
     stream.finish().map_err(png_error)?;
@@ -170,7 +182,7 @@ fn rises(relief: &Relief, col: usize, row: usize) -> [f32; 2] {
     [((ne - nw) + 2.0 * (e - w) + (se - sw)) / 8.0, ((nw - sw) + 2.0 * (n - s) + (ne - se)) / 8.0]
 }
 
-fn draw_row(relief: &Relief, ink: &Ink, row: usize, line: &mut [u8]) {
+fn draw_row(relief: &Relief, paint: Option<&[Option<[u8; 3]>]>, ink: &Ink, row: usize, line: &mut [u8]) {
     for (col, pixel) in line.chunks_exact_mut(4).enumerate() {
         let i = row * relief.cols + col;
         let z = relief.z[i];
@@ -179,7 +191,9 @@ fn draw_row(relief: &Relief, ink: &Ink, row: usize, line: &mut [u8]) {
         }
         let [east, north] = rises(relief, col, row);
         let light = shade(east * ink.slope[0], north * ink.slope[1]);
+        let painted = paint.and_then(|p| p[i]).map(|rgb| rgb.map(|v| f32::from(v) / 255.0));
         let tint = match relief.class {
+            _ if painted.is_some() => painted.unwrap_or(NO_CLASS),
             None => ramp(&HEIGHT_COLORS, z, ink.heights),
             Some(class) if class[i].is_finite() => ramp(&CLASS_COLORS, class[i], ink.classes),
             Some(_) => NO_CLASS,

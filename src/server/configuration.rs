@@ -211,6 +211,18 @@ const KEYS: &[Key] = &[
     number!("sessions-max", sessions_max, 1_000_000, "Sessions of views that may be held at once"),
     number!("patches-max", patches_max, 1_000_000_000, "Patches that one answer may have"),
     number!("points-max", points_max, 1_000_000_000_000, "Points of one call for heights"),
+    number!(
+        "gtb-side-max",
+        gtb_side_max,
+        8193,
+        "Posts along a side of a stream of the surface; memory goes by its square, some 50 bytes a post"
+    ),
+    number!(
+        "gtb-cache-bytes",
+        gtb_cache_bytes,
+        1_000_000_000_000,
+        "Bytes of streams of the surface that are kept for those who go on with them"
+    ),
     Key {
         name: "log",
         value: "FORM",

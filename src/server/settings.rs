@@ -57,6 +57,10 @@ pub struct Settings {
     pub patches_max: u64,
     /// Points of one call for heights.
     pub points_max: u64,
+    /// Posts along a side of a stream of the surface: some 50 bytes of memory a post of the square while it is made.
+    pub gtb_side_max: u64,
+    /// Bytes of streams of the surface that are kept, so that who goes on with one need not wait.
+    pub gtb_cache_bytes: u64,
     /// How the log is written.
     pub log: LogForm,
     /// What is logged: `error`, `warn`, `info`, `debug`, `trace`, or filters such as `info,terraquilt=debug`.
@@ -108,6 +112,8 @@ impl Settings {
             sessions_max: 1000,
             patches_max: 1_000_000,
             points_max: 400_000_000,
+            gtb_side_max: 2049,
+            gtb_cache_bytes: 64 << 20,
             log: LogForm::Text,
             log_level: "info".into(),
         }

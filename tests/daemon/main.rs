@@ -25,6 +25,8 @@ mod history;
 mod killed;
 /// What of an upload is refused.
 mod refused;
+/// The surface as a stream: whole, from where the client is, refining what it holds.
+mod streams;
 
 /// Points, lines and rasters from a server are those of the database, bit for bit.
 mod heights;

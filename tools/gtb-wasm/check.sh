@@ -54,8 +54,9 @@ module=$build/$target/release/gtb_wasm.wasm
 native=$build/release/examples/native
 echo "module: $(stat -c %s "$module") bytes"
 if [ $# -eq 0 ]; then
-  "$native" streams "$build"
-  set -- "$build"/*.gtb
+  rm -rf "$build/streams" && mkdir "$build/streams"
+  "$native" streams "$build/streams"
+  set -- "$build"/streams/*.gtb
 fi
 for file in "$@"; do
   cuts="0 7 60 $(for k in 1 2 5 20 50 90 99; do echo $(($(stat -c %s "$file") * k / 100)); done)"

@@ -14,23 +14,27 @@ if (wanted.length > 0) {
 }
 const gtb = new WebAssembly.Instance(module).exports;
 const bytes = readFileSync(file);
+const memory = (at, length) => new Uint8Array(gtb.memory.buffer, at, length);
 const room = gtb.gtb_room(bytes.length); // may grow the memory: asked before its buffer is named
-new Uint8Array(gtb.memory.buffer, room, bytes.length).set(bytes);
+memory(room, bytes.length).set(bytes);
+
+const seed = 1;
 
 function print(length) {
-  const failed = gtb.gtb_decode(length);
-  const answer = new Uint8Array(gtb.memory.buffer, gtb.gtb_answer(), gtb.gtb_answer_len());
+  const failed = gtb.gtb_decode(length, seed);
+  const answer = memory(gtb.gtb_answer(), gtb.gtb_answer_len());
   if (failed) return console.log(`${length} bytes: ${new TextDecoder().decode(answer)}`);
-  const [cols, rows, , used, complete, bound] = [0, 1, 2, 3, 4, 5].map((k) => gtb.gtb_number(k));
-  const hash = createHash("sha256").update(answer).digest("hex");
+  const [cols, rows, , used, complete, bound, , , cells] = [0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => gtb.gtb_number(k));
+  const hash = createHash("sha256").update(answer).update(memory(gtb.gtb_picture(), 3 * cells * cells)).digest("hex");
   console.log(
-    `${length} bytes: ${cols} x ${rows}, ${used} used, complete ${complete === 1}, bound ${bound}, sha256 ${hash}`,
+    `${length} bytes: ${cols} x ${rows}, ${used} used, complete ${complete === 1}, bound ${bound}, ` +
+      `${cells} cells a side, sha256 ${hash}`,
   );
 }
 
 for (const cut of cuts) print(Math.min(Number(cut), bytes.length));
-gtb.gtb_decode(bytes.length); // so that the engine has compiled what is timed
+gtb.gtb_decode(bytes.length, seed); // so that the engine has compiled what is timed
 const begun = performance.now();
-gtb.gtb_decode(bytes.length);
+gtb.gtb_decode(bytes.length, seed);
 console.error(`wasm:   ${((performance.now() - begun) / 1000).toFixed(4)} s`);
 print(bytes.length);

@@ -54,7 +54,8 @@ pub struct Options<'a> {
     pub given: Option<&'a Given>,
     /// n of the cells of the texture that travels along.
     pub texture: Option<u32>,
-    /// [`Profile::Sparse`]: which posts of the lattice are sent.
+    /// [`Profile::Sparse`]: which posts of the lattice are sent, as a [`Rule`](super::select::Rule) marks them; `None`: all. Posts
+    /// without data, and such whose height is the midpoint of their hypotenuse already, are not sent in either case.
     pub selected: Option<&'a [bool]>,
 }
 
@@ -147,8 +148,7 @@ pub fn encode<T: Companion<Encoder>>(
     let mut errors = Vec::new();
     match options.profile {
         Profile::Sparse => {
-            let all = vec![true; if options.selected.is_some() { 0 } else { z.len() }];
-            field.selected = options.selected.unwrap_or(&all).to_vec();
+            field.selected = options.selected.map_or_else(|| vec![true; z.len()], <[bool]>::to_vec);
             if field.selected.len() != z.len() {
                 return Err(Error::invalid(
                     "selected posts",

@@ -95,7 +95,7 @@ impl Ground {
     /// The surface of a selection at every post.
     pub fn surface(&self, selected: &[bool]) -> Vec<f64> {
         let mut z = self.z.clone();
-        surface::fill(self.lattice, &mut z, |at| selected[at]);
+        surface::fill(self.lattice, &mut z, |at| selected[at] && !self.is_free(at));
         z
     }
 
@@ -221,7 +221,8 @@ impl Rule for Bound {
         match until {
             Until::Above(bound) => within(ground, bound),
             Until::Posts(most) => {
-                // The smallest bound, to a 64th of a unit, that so many posts can keep.
+                // A bound that so many posts can keep, to a 64th of a unit; about the smallest: a greater one takes more posts
+                // now and then.
                 let (mut low, mut high) = (-1i64, 64 << 27);
                 while high - low > 1 {
                     let middle = low + (high - low) / 2;

@@ -1,6 +1,7 @@
 //! Real grids: those that come with the repository, and those of the shared data where they are.
 
-use std::path::{Path, PathBuf};
+use super::shared;
+use std::path::Path;
 use terraquilt_codecs::gtb::Heights;
 use tiff_reader::TiffFile;
 
@@ -49,21 +50,10 @@ pub fn all_bundled() -> Vec<Grid> {
     BUNDLED.into_iter().map(bundled).collect()
 }
 
-/// A folder of the shared data, or `None` (with a message) where they are absent.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let full = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(path);
-    if full.exists() {
-        return Some(full);
-    }
-    assert!(std::env::var_os("TERRAQUILT_REQUIRE_SHARED").is_none(), "{} is absent", full.display());
-    println!("shared data absent: skipped ({path})");
-    None
-}
-
 /// A window of a grid of the shared data.
 pub fn of_shared(name: &str) -> Option<Grid> {
     let (_, col, row, units) = *SHARED.iter().find(|(n, ..)| *n == name).expect("a name of the table");
-    Some(read(&shared("dem")?.join(format!("{name}.tif")), col, row, units))
+    Some(read(&shared(&format!("dem/{name}.tif"))?, col, row, units))
 }
 
 /// All that can be had here.

@@ -29,4 +29,19 @@ impl Random {
         let density = [0.0, 3.0 / posts as f64, 0.01, 0.1, 0.5, 1.0][self.below(6) as usize];
         (0..posts).map(|_| self.unit() < density).collect()
     }
+    /// Ground, `side * side`: midpoints and a displacement of about `rough` units a post of the step.
+    pub fn ground(&mut self, lattice: Lattice, rough: f64) -> Vec<i32> {
+        let side = lattice.side();
+        let mut z = vec![0; side * side];
+        lattice.corners().into_iter().for_each(|[y, x]| z[y * side + x] = self.below(200) as i32);
+        for pass in lattice.passes() {
+            for post in pass.posts(lattice) {
+                let ([a, b], _) = pass.parents(lattice, post);
+                let away = (self.unit() + self.unit() + self.unit() - 1.5) * rough * pass.step as f64;
+                z[post[0] * side + post[1]] =
+                    (z[a[0] * side + a[1]] + z[b[0] * side + b[1]]) / 2 + away.round() as i32;
+            }
+        }
+        z
+    }
 }

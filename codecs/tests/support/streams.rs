@@ -5,7 +5,12 @@ use terraquilt_codecs::gtb::companion::Alone;
 use terraquilt_codecs::gtb::{Decoded, Encoded, Given, Heights, Options, Profile, Stop, decode, encode};
 
 /// The profiles that code every post.
-pub const DENSE: [Profile; 1] = [Profile::Cubic];
+pub const DENSE: [Profile; 2] = [Profile::Cubic, Profile::Adaptive];
+
+/// How many cases of a long row are left out for the slower profile: every one is tried of `cubic`, every fourth of `adaptive`.
+pub fn every(profile: Profile) -> usize {
+    if profile == Profile::Adaptive { 4 } else { 1 }
+}
 
 pub fn coded(heights: &Heights, profile: Profile, layers: &[u32]) -> Encoded {
     refining(heights, profile, layers, None)

@@ -1,11 +1,22 @@
 //! Heights to GTB and back: what the codec (`terraquilt-codecs`) takes and gives, as grids with a place, and as files.
 //!
 //! - [`Grid`], [`Units`]: heights as numbers; the same as integers of a unit
+//! - [`send`]: a grid, and perhaps a picture, as a GTB file
+//! - [`read_prefix`], [`Prefix`]: the surface that a file or the beginning of one gives; [`write_tif`], [`write_picture`],
+//!   [`write_mesh`]: the files that are made of it
 //! - [`told`]: the codec's errors as ours
 
 mod grid;
+mod mesh;
+mod prefix;
+mod raster;
+mod sender;
 
 pub use grid::{Grid, Units, place_of};
+pub use mesh::{MeshRequest, MeshTold, write_mesh};
+pub use prefix::{Prefix, Reached, Until, read_prefix};
+pub use raster::{RasterTold, write_picture, write_tif};
+pub use sender::{Request, Sent, SentTold, send};
 
 use crate::base::Error;
 

@@ -15,11 +15,13 @@
 
 mod compact;
 mod container;
+mod draped;
 mod lattice;
 mod squeeze;
 mod tiles;
 
 pub use compact::{Compact, Compacted, write_compact_glb};
+pub use draped::{Drape, DrapePicture, write_draped_glb};
 pub use squeeze::meshopt_built;
 
 use std::io::Write;

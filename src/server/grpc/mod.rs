@@ -9,6 +9,7 @@ mod ingest;
 mod outgoing;
 mod query;
 mod report;
+mod stream;
 mod undecodable;
 mod view;
 mod watch;
@@ -18,6 +19,7 @@ use crate::server::tokens::rights;
 use crate::wire::v1::export_server::ExportServer;
 use crate::wire::v1::heights_server::HeightsServer;
 use crate::wire::v1::query_server::QueryServer;
+use crate::wire::v1::streams_server::StreamsServer;
 use crate::wire::v1::view_server::ViewServer;
 use crate::wire::v1::watch_server::WatchServer;
 use crate::wire::{self, MESSAGE_BYTES_MAX};
@@ -51,6 +53,10 @@ pub fn routes(state: &Arc<State>) -> Router {
         .add_service(heights)
         .add_service(ingest::service(state))
         .add_service(query)
+        .add_service(
+            StreamsServer::new(stream::StreamsService::new(state.clone()))
+                .max_decoding_message_size(MESSAGE_BYTES_MAX),
+        )
         .add_service(view)
         .add_service(watch);
     routes.prepare().into_axum_router().layer(axum::middleware::map_response(undecodable::correct))

@@ -62,17 +62,24 @@ pub fn file(r: &v1::FileRequest, s: &Snapshot, pixels_max: u64) -> Result<File> 
             "ask with error_m",
         ));
     }
-    let place = place(r, s)?;
+    let place = place(r.region.as_ref(), &r.coords, r.region_in_database_crs, s)?;
     let query = Query { area: place.area.clone(), ..query };
     let pixels_max = match form {
         Form::Png => pixels_max.min(PICTURE_PIXELS_MAX),
         _ => pixels_max.min(limits::RASTER_POSTS_MAX),
     };
-    Ok(File::Surface(Box::new(FileRequest { form, place, query, step: step(r)?, packing, pixels_max })))
+    Ok(File::Surface(Box::new(FileRequest {
+        form,
+        place,
+        query,
+        step: step([r.step_x, r.step_y])?,
+        packing,
+        pixels_max,
+    })))
 }
 
-fn step(r: &v1::FileRequest) -> Result<Option<[f64; 2]>> {
-    let given = [r.step_x, r.step_y];
+/// Steps along both axes; 0: absent.
+pub fn step(given: [f64; 2]) -> Result<Option<[f64; 2]>> {
     if given.iter().any(|v| !(v.is_finite() && *v >= 0.0)) {
         return Err(Error::invalid("step_x, step_y", format!("{given:?}; they must be positive")));
     }
@@ -84,18 +91,25 @@ fn step(r: &v1::FileRequest) -> Result<Option<[f64; 2]>> {
     })
 }
 
-fn place(r: &v1::FileRequest, s: &Snapshot) -> Result<Place> {
-    let coords = Coords::of((!r.coords.is_empty()).then_some(&r.coords), s.crs())?;
-    match area(r.region.as_ref())? {
+/// A region in the coordinates of the caller.
+pub fn place(
+    region: Option<&v1::Region>,
+    coords: &str,
+    region_in_database_crs: bool,
+    s: &Snapshot,
+) -> Result<Place> {
+    let named = coords;
+    let coords = Coords::of((!named.is_empty()).then_some(named), s.crs())?;
+    match area(region)? {
         Area::Everything => Ok(Place::everywhere(coords, s.bounds())),
-        Area::Box(b) if r.region_in_database_crs && coords.is_some() => Err(Error::invalid(
+        Area::Box(b) if region_in_database_crs && coords.is_some() => Err(Error::invalid(
             "region_in_database_crs",
-            format!("goes with polygons; the box {b:?} is read in {}", r.coords),
+            format!("goes with polygons; the box {b:?} is read in {named}"),
         )),
         Area::Box(b) => Place::of_box(b, coords),
         Area::Polygon(p) => {
             let polygon = match &coords {
-                Some(c) if !r.region_in_database_crs => Arc::new(c.polygon("region.polygon", &p)?),
+                Some(c) if !region_in_database_crs => Arc::new(c.polygon("region.polygon", &p)?),
                 _ => p,
             };
             Ok(Place::of_polygon(polygon, coords))

@@ -7,6 +7,7 @@ mod looser;
 mod page;
 mod parts;
 mod question;
+pub mod stream;
 pub mod upload;
 
 pub use catalog::{json, survey, tile};

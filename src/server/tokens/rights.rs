@@ -67,6 +67,7 @@ pub const METHODS: &[Method] = &[
     method("/terraquilt.v1.Ingest/Files", WRITE, Lasts::Stream),
     method("/terraquilt.v1.Query/Patches", READ, Lasts::Stream),
     method("/terraquilt.v1.Query/Difference", READ, Lasts::Stream),
+    method("/terraquilt.v1.Streams/Surface", READ, Lasts::Stream),
     method("/terraquilt.v1.View/Hold", READ, Lasts::Endless),
     method("/terraquilt.v1.View/Follow", READ, Lasts::Endless),
     method("/terraquilt.v1.View/Steer", READ, Lasts::Short),

@@ -27,8 +27,8 @@ fn ground(cols: usize, rows: usize, voids: bool) -> Heights {
 fn streams(folder: &str) -> Any {
     for (name, profile, layers, cols, rows, voids) in [
         ("cubic", Profile::Cubic, vec![0], 513, 513, false),
-        ("cubic_layers_voids", Profile::Cubic, vec![1], 300, 201, true),
-        ("adaptive", Profile::Cubic, vec![1], 257, 257, false),
+        ("cubic_layers_voids", Profile::Cubic, vec![13, 4, 1, 0], 300, 201, true),
+        ("cubic_bound", Profile::Cubic, vec![1], 257, 257, false),
     ] {
         let options = Options { layers, ..Options::new(profile, 0) };
         let stream = encode(&ground(cols, rows, voids), &options, &mut Alone, &mut |_| true)?;
@@ -37,19 +37,26 @@ fn streams(folder: &str) -> Any {
     Ok(())
 }
 
+const SEED: u32 = 1;
+
 fn print(bytes: &[u8]) {
-    match gtb_wasm::surface(bytes) {
-        Ok((d, z)) => {
-            let raw: Vec<u8> = z.iter().flat_map(|v| v.to_le_bytes()).collect();
+    match gtb_wasm::surface(bytes, SEED) {
+        Ok(s) => {
+            let mut hash = Sha256::new();
+            s.z.iter().for_each(|v| hash.update(v.to_le_bytes()));
+            let cells = s.picture.map_or(0, |p| {
+                hash.update(p.rgb.concat());
+                1_u32 << p.n
+            });
             println!(
-                "{} bytes: {} x {}, {} used, complete {}, bound {}, sha256 {:x}",
+                "{} bytes: {} x {}, {} used, complete {}, bound {}, {cells} cells a side, sha256 {:x}",
                 bytes.len(),
-                d.header.cols,
-                d.header.rows,
-                d.bytes_used,
-                d.complete,
-                d.bound,
-                Sha256::digest(raw)
+                s.decoded.header.cols,
+                s.decoded.header.rows,
+                s.decoded.bytes_used,
+                s.decoded.complete,
+                s.decoded.bound,
+                hash.finalize()
             );
         }
         Err(e) => println!("{} bytes: {e}", bytes.len()),
@@ -66,7 +73,7 @@ fn main() -> Any {
                 print(&bytes[..bytes.len().min(cut.parse()?)]);
             }
             let begun = Instant::now();
-            gtb_wasm::surface(&bytes)?;
+            gtb_wasm::surface(&bytes, SEED)?;
             eprintln!("native: {:.4} s", begun.elapsed().as_secs_f64());
             print(&bytes);
         }

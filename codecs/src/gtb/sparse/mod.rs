@@ -17,7 +17,11 @@ use crate::lattice::{Lattice, Pass, Post};
 use crate::range::Coder;
 
 mod around;
+mod counts;
 mod flags;
+mod guess;
+mod least;
+mod shape;
 mod steps;
 
 use around::Around;
@@ -63,7 +67,7 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     }
     let plan = source.map(|z| Plan::new(lattice, step, z, field));
     let mut known = Known::new(lattice, field);
-    let (mut flags, mut steps) = (Flags::new(), Steps::new());
+    let (mut flags, mut steps) = (Flags::new(), Steps::new(step));
     for (number, pass) in lattice.passes().enumerate() {
         let number = number as u32;
         let at_post = |k| Reached { layer: 0, passes: number, posts: k, corners: true };

@@ -1,90 +1,116 @@
-//! How many steps a selected height is from its midpoint.
+//! By how many steps a selected height differs from its midpoint.
+//!
+//! A surplus is guessed from what lies around; the [`Shape`] around the guess, less what the pass's least magnitude rules out, gives
+//! the probability of each decision: zero, sign, doubling intervals, halves of the interval.
 
 use super::around::Around;
-use crate::lattice::Pass;
-use crate::range::{Bit, Coder};
+use super::guess::Guess;
+use super::least::Least;
+use super::shape::{Mixture, Shape, Side, chance};
+use crate::lattice::{Kind, Pass};
+use crate::range::Coder;
 
-const SIZES: usize = 27;
+/// Magnitudes beyond the least are below four times this.
+const FAR: u32 = 1 << 26;
 
+/// The models of steps.
 pub(super) struct Steps {
-    least: u32,
-    last: (u32, usize),
-    least_models: Vec<Bit>,
-    sign: Vec<Bit>,
-    size: Vec<Bit>,
-    within: Vec<Bit>,
+    /// Units a step.
+    step: f64,
+    least: Least,
+    /// The least magnitude in this pass.
+    from: u32,
+    guesses: [Guess; 2],
+    mixture: Mixture,
+}
+
+/// Where steps lie as surpluses, in units.
+struct Scale {
+    step: f64,
+    /// The surplus of 0 steps: midpoints are rounded.
+    zero: f64,
+}
+
+impl Scale {
+    /// The lower end of what rounds to `q` steps.
+    fn edge(&self, q: f64) -> f64 {
+        (q - 0.5) * self.step + self.zero
+    }
+
+    /// The mass of magnitudes from `m` on.
+    fn beyond(&self, shape: &Shape, side: Side, m: f64) -> f64 {
+        match side {
+            Side::Below => shape.mass(self.edge(1.0 - m), side),
+            Side::Above => shape.mass(self.edge(m), side),
+        }
+    }
 }
 
 impl Steps {
-    pub fn new() -> Steps {
+    /// Models for steps of so many units.
+    pub fn new(step: u32) -> Steps {
         Steps {
-            least: 0,
-            last: (0, 1),
-            least_models: vec![Bit::default(); 2 + SIZES],
-            sign: vec![Bit::default(); 64],
-            size: vec![Bit::default(); 64 * SIZES],
-            within: vec![Bit::default(); SIZES * 4],
+            step: f64::from(step),
+            least: Least::new(),
+            from: 0,
+            guesses: [Kind::Centres, Kind::Edges].map(Guess::new),
+            mixture: Mixture::new(),
         }
     }
 
-    /// Begins a pass with the least magnitude in it, as it differs from what the last one lets expect.
+    /// Begins a pass.
     pub fn start<C: Coder>(&mut self, c: &mut C, pass: Pass, least: u32) {
-        let expected = (u64::from(self.last.0) * self.last.1 as u64).div_ceil(pass.step as u64) as u32;
-        let away = least.wrapping_sub(expected) as i32;
-        let models = &mut self.least_models;
-        let negative = c.learn(&mut models[0], away < 0);
-        let m = away.unsigned_abs();
-        let m = magnitude(c, &mut models[2..], &mut [], m);
-        let away = if negative { m.wrapping_neg() } else { m };
-        self.least = expected.wrapping_add(away);
-        self.last = (self.least, pass.step);
+        self.from = self.least.code(c, pass, least);
     }
 
+    /// Codes the steps of a post from its midpoint `middle`.
     pub fn code<C: Coder>(&mut self, c: &mut C, around: &Around, middle: f64, q: i32) -> i32 {
-        let part = middle - middle.floor();
-        let own = around.own.iter().map(|p| p.surplus.abs()).fold(0.0, f32::max);
-        let apexes = around.apexes.iter().map(|p| p.surplus.abs()).fold(0.0, f32::max);
-        let class = super::flags::class(f64::from(own + apexes));
-        let m = q.unsigned_abs().wrapping_sub(self.least);
-        let m = magnitude(c, &mut self.size[class * SIZES..][..SIZES], &mut self.within, m);
-        let m = m.wrapping_add(self.least);
-        let e: f64 = around.twist + f64::from(around.apexes[0].surplus + around.apexes[1].surplus) / 2.0;
-        let lean = class_signed(e);
-        let at = lean * 3
-            + if part == 0.0 {
-                0
-            } else if part < 0.5 {
-                1
-            } else {
-                2
-            };
-        if m != 0 && c.learn(&mut self.sign[at], q < 0) { (m as i32).wrapping_neg() } else { m as i32 }
+        let scale = Scale { step: self.step, zero: f64::from(super::base(middle)) - middle };
+        let activity = around.activity() + (0.3 + 0.25 * f64::from(self.from)) * self.step;
+        let guess = &mut self.guesses[usize::from(around.pass.kind == Kind::Edges)];
+        let shape = self.mixture.shape(guess.of(&around.features), activity, self.step);
+        let first = self.from.max(1);
+        let gap = [scale.edge(1.0 - f64::from(first)), scale.edge(f64::from(first))];
+        let [below, above] = [shape.mass(gap[0], Side::Below), shape.mass(gap[1], Side::Above)];
+        if self.from == 0 && c.bit(chance(1.0 - below - above, below + above), q == 0) {
+            return 0;
+        }
+        let negative = c.bit(chance(below, above), q < 0);
+        let (side, mass) = if negative { (Side::Below, below) } else { (Side::Above, above) };
+        let wanted = q.unsigned_abs().wrapping_sub(first);
+        let more =
+            magnitude(c, wanted, mass, |m| scale.beyond(&shape, side, f64::from(first) + f64::from(m)));
+        let magnitude = first.wrapping_add(more) as i32;
+        let q = if negative { magnitude.wrapping_neg() } else { magnitude };
+        self.mixture.learn(&shape, [scale.edge(f64::from(q)), scale.edge(f64::from(q) + 1.0)], gap);
+        guess.learn(&around.features, f64::from(q) * self.step + scale.zero, activity);
+        q
     }
 }
 
-fn class_signed(e: f64) -> usize {
-    let c = super::flags::class(e.abs()).min(7);
-    if e < 0.0 { 8 + c } else { c }
-}
-
-/// A number: its size by doubling intervals (0; 1 to 2; 3 to 6; ...), the two high bits learnt.
-fn magnitude<C: Coder>(c: &mut C, size: &mut [Bit], within: &mut [Bit], m: u32) -> u32 {
-    let v = m.wrapping_add(1);
-    let bits = 31 - v.max(1).leading_zeros();
-    let mut k = 0;
-    while (k as usize) < SIZES - 1 && c.learn(&mut size[k as usize], bits > k) {
-        k += 1;
+/// Codes a number from 0: whether it lies in the first 1, the next 2, the next 4 and so on; then in which half, down to one.
+/// `mass`: of all; `beyond`: from a number on.
+fn magnitude<C: Coder>(c: &mut C, wanted: u32, mut mass: f64, beyond: impl Fn(u32) -> f64) -> u32 {
+    let (mut low, mut width) = (0u32, 1u32);
+    let mut top;
+    loop {
+        top = beyond(low + width);
+        if low >= FAR || !c.bit(chance(top, mass - top), wanted >= low + width) {
+            break;
+        }
+        mass = top;
+        low += width;
+        width *= 2;
     }
-    let mut out = 1u32;
-    for b in (0..k).rev() {
-        let bit = v >> b & 1 == 1;
-        let depth = k - 1 - b;
-        let bit = if depth < 2 && !within.is_empty() {
-            c.learn(&mut within[k as usize * 4 + if depth == 0 { 0 } else { 1 + (out & 1) as usize }], bit)
+    while width > 1 {
+        width /= 2;
+        let half = beyond(low + width);
+        if c.bit(chance(half - top, mass - half), wanted >= low + width) {
+            low += width;
+            mass = half;
         } else {
-            c.bit(1 << 15, bit)
-        };
-        out = out << 1 | u32::from(bit);
+            top = half;
+        }
     }
-    out - 1
+    low
 }
