@@ -1,10 +1,13 @@
 //! What layers cost over one: `cargo run --release --example layers -- PROFILE BOUND,BOUND... FILE...`.
 //!
-//! A file is two little-endian u32 (columns, rows) and columns x rows little-endian i32 heights.
+//! A file is two little-endian u32 (columns, rows) and columns x rows little-endian i32 heights; -32768 is a void.
 
 use std::time::Instant;
 use terraquilt_codecs::gtb::companion::Alone;
 use terraquilt_codecs::gtb::{Heights, Options, Profile, Stop, decode, encode};
+
+/// What files write where there is no data.
+const VOID: i32 = -32_768;
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -25,7 +28,8 @@ fn main() {
         let (cols, rows) = (number(0) as usize, number(4) as usize);
         let samples = (cols * rows) as f64;
         let z: Vec<i32> = (0..cols * rows).map(|k| number(8 + 4 * k) as i32).collect();
-        let heights = Heights::new(cols, rows, z);
+        let void = if z.contains(&VOID) { z.iter().map(|z| *z == VOID).collect() } else { Vec::new() };
+        let heights = Heights { cols, rows, z, void };
         let coded = |layers: &[u32]| {
             let options = Options { layers: layers.to_vec(), ..Options::new(profile, 0) };
             let encoded = encode(&heights, &options, &mut Alone, &mut |_| true).expect(file);

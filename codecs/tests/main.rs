@@ -2,6 +2,12 @@
 
 mod adaptive;
 mod bitree;
+mod damage;
+mod frame;
+mod given;
+mod layers;
+mod prefixes;
 mod smallest;
 mod sparse;
 mod support;
+mod voids;

@@ -3,7 +3,7 @@
 use super::companion::Companion;
 use super::dense::{self, Reached};
 use super::encode::{PassEnd, Profile};
-use super::field::{Field, Given, Status};
+use super::field::{Field, Given, SHOWN_WHOLE, Status};
 use super::header::{BLOCK, Header, unblocked};
 use super::{mask, sparse, surface};
 use crate::range::Decoder;
@@ -46,8 +46,23 @@ pub struct Decoded {
 
 /// Decodes a file or any prefix of one. `given`: the heights that a stream refines. `going` as for [`encode()`](super::encode()).
 ///
-/// An error where not even the corners are there, or the head is damaged; whatever follows, the answer is a surface.
+/// An error where not even the corners are there, or the head is damaged; whatever follows, the answer is a surface. A bit that
+/// was flipped within a block whose checksum is there ends the answer before that block.
 pub fn decode<'a, T: Companion<Decoder<'a>>>(
+    bytes: &[u8],
+    body: &'a mut Vec<u8>,
+    stop: Stop,
+    given: Option<&Given>,
+    companion: &mut T,
+    going: &mut dyn FnMut(f64) -> bool,
+) -> Result<Decoded> {
+    decode_within(u64::MAX, bytes, body, stop, given, companion, going)
+}
+
+/// As [`decode()`], for bytes that nobody vouches for: a lattice of more than `posts_max` posts is an [`Error::Limit`], before anything is
+/// allocated for it. Memory: at most 16 bytes a post of the lattice, what the companion takes, and the bytes.
+pub fn decode_within<'a, T: Companion<Decoder<'a>>>(
+    posts_max: u64,
     bytes: &[u8],
     body: &'a mut Vec<u8>,
     stop: Stop,
@@ -60,6 +75,10 @@ pub fn decode<'a, T: Companion<Decoder<'a>>>(
         _ => bytes,
     };
     let (header, head) = Header::read(bytes)?;
+    let posts = (header.lattice.side() as u64).pow(2);
+    if posts > posts_max {
+        return Err(Error::Limit { what: "posts of the lattice", limit: posts_max, wanted: posts });
+    }
     let read = unblocked(&bytes[head..], header.body);
     *body = read.bytes;
     let mut field = Field::new(&header, given)?;
@@ -123,7 +142,8 @@ impl Decoded {
         self.status.get(at) == Some(&Status::Free)
     }
 
-    /// Which posts of the lattice carry a height of the stream (of voids: a prediction), as far as it was read.
+    /// Which posts of the lattice carry a height of the stream (of voids: a prediction), as far as it was read; of the first
+    /// [`SHOWN_WHOLE`] passes only whole ones count.
     pub fn known(&self) -> Vec<bool> {
         let (lattice, side) = (self.header.lattice, self.header.lattice.side());
         let mut known = vec![false; side * side];
@@ -132,7 +152,7 @@ impl Decoded {
             let whole = self.reached.layer > 0 || (k as u32) < self.reached.passes;
             let some = if whole {
                 usize::MAX
-            } else if k as u32 == self.reached.passes {
+            } else if k as u32 == self.reached.passes && k as u32 >= SHOWN_WHOLE {
                 self.reached.posts
             } else {
                 0

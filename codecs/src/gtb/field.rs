@@ -5,6 +5,10 @@ use super::heights::Heights;
 use crate::lattice::Lattice;
 use crate::{Error, Result};
 
+/// Of so many passes of the first layer, 65 x 65 posts, a prefix shows whole ones alone: a part of a pass of few posts may be worse than
+/// none of it. In them the bound of a prefix is that of the passes before.
+pub const SHOWN_WHOLE: u32 = 12;
+
 /// What a post is to the coder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]

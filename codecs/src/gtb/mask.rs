@@ -131,7 +131,7 @@ impl Reach {
             (0..POSTS).map(|k| mark(at.wrapping_add_signed(self.flat[k]), k)).sum()
         } else {
             let mirror =
-                |v: isize| if v.abs() > self.last { 2 * self.last - v.abs() } else { v.abs() } as usize;
+                |v: isize| if v.abs() > self.last { 2 * self.last - v.abs() } else { v }.unsigned_abs();
             let at = |[dy, dx]: [isize; 2]| mirror(v + dy) * self.side + mirror(u + dx);
             self.away.iter().enumerate().map(|(k, away)| mark(at(*away), k)).sum()
         }

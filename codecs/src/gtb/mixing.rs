@@ -50,6 +50,9 @@ const fn logit() -> [i16; 4096] {
 /// Decisions seen after which a [`Count`] learns no slower.
 const SEEN_MAX: u32 = 250;
 
+/// Decisions that a [`Count`] keeps of an earlier subject.
+const DOUBT: u32 = 20;
+
 /// The probability of a one in a context: 22 bits, and in the low 10 how many decisions were seen.
 #[derive(Clone, Copy)]
 pub(super) struct Count(u32);
@@ -68,6 +71,11 @@ static RATES: [u16; SEEN_MAX as usize + 1] = {
 impl Count {
     /// As likely as not.
     pub const NEW: Count = Count(1 << 31);
+
+    /// From here on it learns as after [`DOUBT`] decisions, if it has seen more.
+    pub fn doubt(&mut self) {
+        self.0 = self.0 & !1023 | (self.0 & 1023).min(DOUBT);
+    }
 
     /// Codes one decision by this context alone.
     #[inline(always)]
@@ -118,19 +126,15 @@ pub(super) fn code<C: Coder, const N: usize>(
     bit: bool,
 ) -> bool {
     let logits = contexts.map(|k| counts[k].logit());
-    let mut sum = 0i64;
-    for k in 0..N {
-        sum += i64::from(logits[k]) * i64::from(weights.of[k]);
-    }
+    let sum: i64 = logits.iter().zip(&weights.of).map(|(l, w)| i64::from(*l) * i64::from(*w)).sum();
     let x = ((sum >> 16) as i32).clamp(-LOGIT_MAX, LOGIT_MAX);
     let p = i32::from(LOGISTIC[(x + 2048) as usize]);
     let bit = c.bit((p as u32).clamp(32, ONE - 32), bit);
     let error = if bit { ONE as i32 - p } else { -p };
     let rate = 2 + 14 * 64 / (64 + weights.seen as i32);
     weights.seen = (weights.seen + 1).min(4096);
-    for k in 0..N {
-        let w = weights.of[k] + ((logits[k] * (error >> 2) * rate + (1 << 15)) >> 16);
-        weights.of[k] = w.clamp(-WEIGHT_MAX, WEIGHT_MAX);
+    for (w, logit) in weights.of.iter_mut().zip(logits) {
+        *w = (*w + ((logit * (error >> 2) * rate + (1 << 15)) >> 16)).clamp(-WEIGHT_MAX, WEIGHT_MAX);
     }
     for k in contexts {
         counts[k].update(bit);

@@ -25,9 +25,9 @@ mod strips;
 pub mod surface;
 pub mod texture;
 
-pub use decode::{Decoded, Stop, decode};
+pub use decode::{Decoded, Stop, decode, decode_within};
 pub use dense::Reached;
 pub use encode::{Encoded, Options, PassEnd, Profile, encode};
-pub use field::Given;
+pub use field::{Given, SHOWN_WHOLE};
 pub use header::Header;
 pub use heights::{Heights, Place};

@@ -14,6 +14,8 @@ pub(super) const FRACTION: u32 = 4;
 pub(super) enum Between {
     /// Centres may or may not have come, edges have not.
     SomeCentres,
+    /// Centres have come, edges have not.
+    Centres,
     /// Centres have come, edges may have.
     SomeEdges,
     /// None has come.
@@ -62,7 +64,7 @@ impl Hull {
             low: Vec::with_capacity(side * side),
             high: Vec::with_capacity(side * side),
         };
-        self.rows(ground, between, &mut |_, low, high| {
+        self.rows(ground, between, |_, low, high| {
             out.low.extend_from_slice(low);
             out.high.extend_from_slice(high);
         });
@@ -70,7 +72,7 @@ impl Hull {
     }
 
     /// The rows at half the step, one after the other, with their numbers.
-    pub fn rows(&self, ground: &Ground, between: Between, take: &mut dyn FnMut(usize, &[i32], &[i32])) {
+    pub fn rows(&self, ground: &Ground, between: Between, mut take: impl FnMut(usize, &[i32], &[i32])) {
         let fine = 2 * self.side - 1;
         let (mut low, mut high, mut diagonals) = (vec![0; fine], vec![0; fine], vec![0; fine]);
         for y in 0..fine {
@@ -95,8 +97,10 @@ impl Hull {
         let n = low.len();
         match (between, y % 2) {
             (Between::SomeCentres, 1) | (Between::SomeEdges, 0) => widen(low, high, ground, from, step, 1),
-            (Between::SomeEdges, _) => {
-                widen(low, high, ground, from, step, 0);
+            (Between::SomeEdges | Between::Centres, 1) => {
+                if between == Between::SomeEdges {
+                    widen(low, high, ground, from, step, 0);
+                }
                 for x in (1..n).step_by(2) {
                     low[x] = ground.low[from + x * step];
                     high[x] = ground.high[from + x * step];
@@ -105,7 +109,8 @@ impl Hull {
             _ => {}
         }
         if !ground.status.is_empty() {
-            for x in (1 - y % 2..n).step_by(1 + usize::from(y % 2 == 0)) {
+            let (first, every) = if y.is_multiple_of(2) { (1, 2) } else { (0, 1) };
+            for x in (first..n).step_by(every) {
                 let at = from + x * step;
                 if ground.status[at] == Status::Given {
                     low[x] = ground.low[at];

@@ -7,7 +7,7 @@
 //! ends enclose all these prefixes at every post. The greatest distance of a height from the ends of its interval is the
 //! bound. So it is for posts that are left out (they are midpoints in every prefix), for voids (their prediction counts as decoded height,
 //! as in the receiver) and for posts that were given (their interval is one height, from the beginning). Only posts with data
-//! are compared.
+//! are compared. Of the first [`SHOWN_WHOLE`] passes a prefix shows whole ones alone: there all posts of pass k are midpoints.
 //!
 //! The quick way: near the end (steps up to [`FINE`]), the interval of each post, in fixed point, row by row. Before that, the intervals are
 //! taken at every [`FINE`]-th post; the surface S of all posts of that step differs from a prefix P by what it differs at
@@ -18,7 +18,7 @@
 mod hull;
 mod plain;
 
-use super::field::{Field, Status};
+use super::field::{Field, SHOWN_WHOLE, Status};
 use super::header::Header;
 use crate::lattice::{Kind, Pass};
 use hull::{Between, FRACTION, Ground, Hull};
@@ -47,10 +47,13 @@ pub(super) fn measure(header: &Header, z: &[i32], field: &Field) -> Vec<u32> {
     let mut out: Vec<u32> = header
         .lattice
         .passes()
-        .map(|pass| {
-            let between = match pass.kind {
-                Kind::Centres => Between::SomeCentres,
-                Kind::Edges => Between::SomeEdges,
+        .enumerate()
+        .map(|(number, pass)| {
+            let between = match (pass.kind, number < SHOWN_WHOLE as usize) {
+                (Kind::Centres, true) => Between::Nothing,
+                (Kind::Centres, false) => Between::SomeCentres,
+                (Kind::Edges, true) => Between::Centres,
+                (Kind::Edges, false) => Between::SomeEdges,
             };
             let hull = Hull::known(&all.ground, 2 * pass.step);
             match &cells {
@@ -126,7 +129,7 @@ impl All<'_> {
             between = Between::Nothing;
         }
         let mut worst = 0;
-        hull.rows(&self.ground, between, &mut |y, low, high| {
+        hull.rows(&self.ground, between, |y, low, high| {
             if y < self.header.rows {
                 worst = worst.max(self.row(y, low, high));
             }
@@ -158,7 +161,7 @@ impl Cells {
         let side = all.ground.side;
         let mut above = vec![EMPTY; side];
         let mut below = vec![EMPTY; side];
-        hull.rows(&all.ground, Between::Nothing, &mut |y, low, high| {
+        hull.rows(&all.ground, Between::Nothing, |y, low, high| {
             if y >= all.header.rows {
                 return;
             }
@@ -354,7 +357,7 @@ mod tests {
         };
         let z = spread(&heights, lattice);
         let mut field = Field::new(&header, Some(&held)).expect("the same state");
-        for at in 0..posts {
+        for (at, z) in z.iter().enumerate() {
             let (y, x) = (at / lattice.side(), at % lattice.side());
             if void && y < rows && x < cols && heights.void[y * cols + x] && field.status(at) == Status::Coded
             {
@@ -363,7 +366,7 @@ mod tests {
             match field.status(at) {
                 Status::Given => {}
                 Status::Free => field.z[at] = random(3 * rough) - rough,
-                Status::Coded => field.z[at] = z[at] + random(9) - 4,
+                Status::Coded => field.z[at] = z + random(9) - 4,
             }
         }
         if selected {

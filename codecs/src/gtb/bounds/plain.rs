@@ -1,6 +1,6 @@
 //! Bounds by their definition: each pass on the whole lattice. For lattices that the quick way does not take, and to check it.
 
-use super::super::field::{Field, Status};
+use super::super::field::{Field, SHOWN_WHOLE, Status};
 use super::super::header::Header;
 use std::cmp::Ordering;
 
@@ -21,7 +21,7 @@ pub fn hull(header: &Header, z: &[i32], field: &Field, number: u32) -> f64 {
             let ([a, b], _) = pass.parents(lattice, post);
             let (a, b) = (a[0] * side + a[1], b[0] * side + b[1]);
             let mid = [(low[a] + low[b]) / 2.0, (high[a] + high[b]) / 2.0];
-            let own = now == Ordering::Equal && chosen(at);
+            let own = now == Ordering::Equal && number >= SHOWN_WHOLE && chosen(at);
             low[at] = if own { low[at].min(mid[0]) } else { mid[0] };
             high[at] = if own { high[at].max(mid[1]) } else { mid[1] };
         }

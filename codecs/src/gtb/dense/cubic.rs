@@ -55,7 +55,14 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     }
     let Work { z, magnitudes, .. } = work;
     drop(magnitudes);
+    // Given heights that were not reached are known all the same.
+    let given = if header.given.is_some() { field.z.clone() } else { Vec::new() };
     z.write(lattice, &mut field.z);
+    for (at, z) in given.into_iter().enumerate() {
+        if field.status[at] == Status::Given {
+            field.z[at] = z;
+        }
+    }
     Ok(reached)
 }
 

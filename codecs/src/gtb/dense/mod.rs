@@ -70,11 +70,12 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     }
     let mut reached = Reached { layer: 1, passes: 0, posts: 0, corners: true };
     whole(0, field);
+    let mut models = None;
     for layer in 1..header.layers.len() {
         if stopped.get() {
             break;
         }
-        reached = refine::code(header, layer, source, field, c, &mut watched)?;
+        reached = refine::code(header, layer, source, field, c, &mut watched, &mut models)?;
         if reached.layer == layer {
             break;
         }

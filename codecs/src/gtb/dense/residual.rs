@@ -7,7 +7,7 @@ const CLASSES: usize = 80;
 /// Parts of a unit that a prediction may lie from the middle, folded to one side.
 const PARTS: usize = 4;
 /// Doubling intervals of magnitudes.
-const SIZES: usize = 26;
+const SIZES: usize = 28;
 
 /// What the first decisions are expected to be, by octaves of classes, in 65536ths: that a residual is zero, and that one is beyond
 /// size k (of a class by 4 k lower). Measured over many grids and bounds; what they learn soon outweighs it.

@@ -6,7 +6,7 @@ use crate::lattice::{Kind, Pass};
 use crate::range::Coder;
 
 /// Contexts that speak on a decision: a guess each, and the first two together.
-const OPINIONS: usize = 4;
+const OPINIONS: usize = 5;
 /// Classes of what a guess is likely to be wrong by: two an octave.
 const CLASSES: usize = 16;
 /// Places of a boundary against a guess, of one and the joint context.
@@ -16,7 +16,7 @@ const FINE: i64 = 24;
 /// The same for the joint context, which has half the places each way and half the classes.
 const ROUGH: i64 = 6;
 /// Contexts of guesses of a shape.
-const SINGLE: usize = 3 * CLASSES * PLACES;
+const SINGLE: usize = 4 * CLASSES * PLACES;
 /// Contexts of a shape of decisions.
 const SHAPE: usize = SINGLE + CLASSES / 2 * PLACES / 2 * PLACES / 2;
 /// Shapes: the interval has three parts, two, more.
@@ -25,7 +25,7 @@ const SHAPES: usize = 3;
 const GROUPS: usize = 6;
 
 /// The models of a layer's digits.
-pub(super) struct Digits {
+pub(in super::super) struct Digits {
     /// Parts of an interval: odd.
     parts: i32,
     /// Units of a part.
@@ -51,6 +51,15 @@ impl Digits {
         }
     }
 
+    /// Of the next layer: what was learnt of this one is a first opinion, for all is in parts of an interval.
+    pub fn next(self, coarse: u32, fine: u32) -> Digits {
+        let mut next = Digits::new(coarse, fine);
+        next.weights = self.weights;
+        next.counts = self.counts;
+        next.counts.iter_mut().for_each(Count::doubt);
+        next
+    }
+
     /// The part that a height `wanted` units above the middle of the interval lies in.
     fn part(&self, wanted: i32) -> i32 {
         let part = wanted.wrapping_add(self.step / 2).div_euclid(self.step).wrapping_add(self.parts / 2);
@@ -59,7 +68,7 @@ impl Digits {
 
     /// A digit without a guess: all parts as likely. Takes what the height lies above the middle and returns what the middle of
     /// its part does.
-    pub fn plain<C: Coder>(&self, c: &mut C, wanted: Option<i32>) -> i32 {
+    pub(super) fn plain<C: Coder>(&self, c: &mut C, wanted: Option<i32>) -> i32 {
         let part = wanted.map_or(0, |w| self.part(w));
         let (mut low, mut high) = (0, self.parts);
         while high - low > 1 {
@@ -73,7 +82,7 @@ impl Digits {
     /// A digit of a post of height `own`, by decisions that divide the interval until one part is left. All is mirrored so that
     /// the first guess lies above the middle; of three parts the one above comes first. Takes and returns as [`Digits::plain`].
     #[inline(always)]
-    pub fn code<C: Coder>(
+    pub(super) fn code<C: Coder>(
         &mut self,
         c: &mut C,
         pass: Pass,
@@ -105,7 +114,7 @@ impl Digits {
             let half = PLACES as i64 / 4;
             let joint =
                 (class / 2 * (PLACES / 2) + place(0, rough, half)) * (PLACES / 2) + place(1, rough, half);
-            let contexts = [single(0), single(1), single(2), base + SINGLE + joint];
+            let contexts = [single(0), single(1), single(2), single(3), base + SINGLE + joint];
             let weights = &mut self.weights[shape * GROUPS + group];
             if mixing::code(c, &mut self.counts, contexts, weights, part >= cut) {
                 low = cut;

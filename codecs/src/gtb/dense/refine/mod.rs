@@ -12,7 +12,7 @@ use super::{Mark, Reached, is_coded};
 use crate::Result;
 use crate::range::Coder;
 use around::Reach;
-use digits::Digits;
+pub(super) use digits::Digits;
 
 /// Codes one further layer; the next one is reached if all of it is there. A prefix that ends in it has the posts before at the
 /// layer's bound, the others at the one before.
@@ -23,9 +23,15 @@ pub(super) fn code<C: Coder>(
     field: &mut Field,
     c: &mut C,
     mark: Mark<C>,
+    models: &mut Option<Digits>,
 ) -> Result<Reached> {
     let (lattice, side) = (header.lattice, header.lattice.side());
-    let mut digits = Digits::new(header.layers[layer - 1], header.layers[layer]);
+    let bounds = (header.layers[layer - 1], header.layers[layer]);
+    let digits = match models.take() {
+        Some(models) => models.next(bounds.0, bounds.1),
+        None => Digits::new(bounds.0, bounds.1),
+    };
+    let digits = models.insert(digits);
     // What the first guess was wrong by, in quarters of a unit.
     let mut wrong = vec![0i16; side * side];
     for [y, x] in lattice.corners() {
