@@ -55,13 +55,17 @@ pub fn shared(earlier: &Decoded, posts: &Posts) -> Option<Given> {
 /// By how many posts a stream must begin farther west and farther north so that coarser posts of an earlier one are among its
 /// coarser posts: less than a spacing of the earlier one. Posts that lie between the others of a pass help to predict nothing.
 pub fn beginning(earlier: &Place, new: &Place) -> [usize; 2] {
-    [0, 1].map(|k| {
+    let along = |k: usize| {
         let (old, new) = (axis(earlier, k), axis(new, k));
         let times = (old[1] / new[1]).round();
         let away = (new[0] - old[0]) / new[1];
         let fits = (old[1] / new[1] - times).abs() <= MISS && (away - away.round()).abs() <= MISS;
-        if fits && times > 1.0 && times <= 4096.0 { away.round().rem_euclid(times) as usize } else { 0 }
-    })
+        (fits && (1.0..=4096.0).contains(&times)).then(|| away.round().rem_euclid(times) as usize)
+    };
+    match (along(0), along(1)) {
+        (Some(west), Some(north)) => [west, north],
+        _ => [0; 2],
+    }
 }
 
 /// First post and step along an axis.
