@@ -51,7 +51,10 @@ pub(super) fn code<C: Coder, T: Companion<C>>(
     }
     let Work { z, magnitudes, .. } = work;
     drop(magnitudes);
-    z.write(lattice, &mut field.z);
+    // A lattice of corners alone has no step.
+    if lattice.n() > 0 {
+        z.write(lattice, &mut field.z);
+    }
     Ok(reached)
 }
 
