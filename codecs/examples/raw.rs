@@ -56,9 +56,9 @@ fn to_grid(file: &str, out: &str, cut: Option<&String>) -> Any {
     let seconds = begun.elapsed().as_secs_f64();
     let h = &decoded.header;
     let mut raw: Vec<u8> = [h.cols as u32, h.rows as u32].into_iter().flat_map(u32::to_le_bytes).collect();
-    for y in 0..h.rows {
-        for at in y * h.lattice.side()..y * h.lattice.side() + h.cols {
-            let v = if decoded.is_free(at) { f64::NAN } else { z[at] };
+    for (y, row) in z.chunks_exact(h.lattice.side()).take(h.rows).enumerate() {
+        for (x, z) in row.iter().take(h.cols).enumerate() {
+            let v = if decoded.is_free(y * h.lattice.side() + x) { f64::NAN } else { *z };
             raw.extend_from_slice(&v.to_le_bytes());
         }
     }

@@ -10,4 +10,5 @@ mod prefixes;
 mod smallest;
 mod sparse;
 mod support;
+mod texture;
 mod voids;

@@ -120,7 +120,7 @@ pub fn complete(
                     for (at, cell) in places(side, level, band) {
                         if sent[channel][at] == 0 {
                             let f = amplitudes.factor(usize::from(labels[cell]), channel, level, k);
-                            sent[channel][at] = ((i64::from(details[channel][at]) * f) >> 16) as i32;
+                            sent[channel][at] = scaled(details[channel][at], f);
                         }
                     }
                 }
@@ -128,6 +128,51 @@ pub fn complete(
         }
     }
     planes::inverse(sent, side, levels)
+}
+
+/// Of each class and band that is painted: its place in words, its energy in the source, and in what a receiver paints.
+pub fn energies(
+    source: &[Vec<i32>; 3],
+    painted: &[[u8; 3]],
+    labels: &[u8],
+    side: usize,
+    levels: u32,
+    amplitudes: &Amplitudes,
+) -> Vec<(String, f64, f64)> {
+    let details = planes::forward(painted, side, levels);
+    let square = |v: i32| f64::from(v) * f64::from(v);
+    let mut out = Vec::new();
+    for channel in 0..3 {
+        for level in 1..=SYNTHETIC_LEVELS.min(levels) {
+            for (k, band) in Band::ALL.into_iter().enumerate() {
+                let classes = amplitudes.steps.len() / Amplitudes::OF_CLASS;
+                for class in 1..classes {
+                    let f = amplitudes.factor(class, channel, level, k);
+                    if f == 0 {
+                        continue;
+                    }
+                    let (mut wanted, mut got) = (0.0, 0.0);
+                    for (at, _) in
+                        places(side, level, band).filter(|(_, cell)| usize::from(labels[*cell]) == class)
+                    {
+                        wanted += square(source[channel][at]);
+                        got += square(scaled(details[channel][at], f));
+                    }
+                    out.push((
+                        format!("class {class}, channel {channel}, level {level}, {band:?}"),
+                        wanted,
+                        got,
+                    ));
+                }
+            }
+        }
+    }
+    out
+}
+
+/// A detail times an amplitude.
+fn scaled(detail: i32, factor: i64) -> i32 {
+    ((i64::from(detail) * factor) >> 16) as i32
 }
 
 /// What painted details may add to the squared error of the part that was sent, in parts of it.

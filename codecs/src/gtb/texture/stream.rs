@@ -107,6 +107,15 @@ impl Writer {
         Sizes { cells: 1 << (2 * self.state.n), classes: self.state.classes.len() - 1 }
     }
 
+    /// Of each class and band of details that is painted with a seed: its place in words, its energy in the picture, and in what is
+    /// painted. After the stream was written.
+    pub fn energies(&self, seed: u64) -> Vec<(String, f64, f64)> {
+        let (_, painted, labels) = self.state.ingredients(seed);
+        let side = 1 << self.state.n;
+        let levels = planes::levels(side, PLAIN_LEVELS);
+        paint::energies(&self.sender.coefficients, &painted, &labels, side, levels, &self.state.amplitudes)
+    }
+
     /// As [`Reader::sent`].
     pub fn sent(&self) -> Cells {
         self.state.picture(0, false)
