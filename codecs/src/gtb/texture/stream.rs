@@ -19,8 +19,12 @@ use crate::range::{Bit, Coder};
 /// Levels of wavelets of a pattern, and of the plain part.
 const PATTERN_LEVELS: u32 = 4;
 const PLAIN_LEVELS: u32 = 6;
-/// Bit planes of patterns below this one are not sent: errors of some ten levels of lightness stay.
+/// Bit planes of patterns below this one are not sent: errors of some ten levels of lightness stay. Beside a plain part they lend their
+/// details only, and less will do.
 const PATTERN_FLOOR: u32 = 5;
+const PATTERN_FLOOR_HYBRID: u32 = 7;
+/// Beside a plain part triangles are cut no deeper.
+const DEPTH_HYBRID: u32 = 9;
 
 /// A class as both sides know it.
 struct Class {
@@ -96,7 +100,7 @@ impl Writer {
         let budget = (settings.plain * 3.0 * (side * side) as f64) as usize;
         let plain = (budget > 0).then(|| Source::new(coefficients.clone(), side, levels));
         let plain_parts = plain.as_ref().map_or(0, |s| planes::parts_within(s, side, levels, budget));
-        let depth_max = settings.depth_max.min(31);
+        let depth_max = settings.depth_max.min(if plain_parts > 0 { DEPTH_HYBRID } else { 31 });
         let plan = Plan::new(lattice, &labels, settings.tolerance, depth_max);
         let sender = Sender { plan, plain, plain_parts, depth_max, colours, patterns, coefficients };
         Ok(Writer { state: State::new(cells.n), sender })
@@ -265,10 +269,11 @@ impl State {
     /// Parts of patterns and of the plain part, up to `share` of `whole`.
     fn planes<C: Coder>(&mut self, share: u32, whole: u32, c: &mut C, sender: Option<&Sender>) {
         let due = |parts: u32| parts * share / whole.max(1);
+        let hybrid = self.plain_parts > 0;
         for (number, class) in self.classes.iter_mut().enumerate().skip(1) {
             let Some(trees) = &mut class.pattern else { continue };
             let source = sender.and_then(|s| s.patterns[s.plan.met[number]].as_ref());
-            while trees.done() < due(pattern_parts(trees)) && !c.ended() {
+            while trees.done() < due(pattern_parts(trees, hybrid)) && !c.ended() {
                 trees.part(c, source);
             }
         }
@@ -363,9 +368,10 @@ struct Looks<'a> {
     patterns: &'a [Option<Source>],
 }
 
-/// Parts of a pattern that are sent: all planes down to [`PATTERN_FLOOR`].
-fn pattern_parts(trees: &Zerotree) -> u32 {
-    trees.parts().saturating_sub(PATTERN_FLOOR * trees.parts_of_plane())
+/// Parts of a pattern that are sent: all planes down to a floor.
+fn pattern_parts(trees: &Zerotree, hybrid: bool) -> u32 {
+    let floor = if hybrid { PATTERN_FLOOR_HYBRID } else { PATTERN_FLOOR };
+    trees.parts().saturating_sub(floor * trees.parts_of_plane())
 }
 
 impl Class {
