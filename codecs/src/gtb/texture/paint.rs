@@ -52,8 +52,8 @@ pub fn fill(labels: &[u8], side: usize, looks: &[Look], seed: u64) -> Vec<[u8; 3
         .collect()
 }
 
-/// Amplitudes of synthetic details: of each class, channel, level and band a step; step 0 paints nothing, 128 leaves the details of the
-/// patterns as they are, 16 double them. Empty: nothing is painted.
+/// How strong synthetic details are: of each class, channel, level and band the root of their mean square, as a step. Step 0 paints nothing,
+/// step 64 is one, 16 more are twice that. Empty: nothing is painted.
 #[derive(Clone, Debug, Default)]
 pub struct Amplitudes {
     steps: Vec<u8>,
@@ -77,22 +77,62 @@ impl Amplitudes {
         class * Amplitudes::OF_CLASS + (channel * SYNTHETIC_LEVELS as usize + level as usize - 1) * 3 + band
     }
 
-    /// The factor of a class, channel, level and band, in 65536ths.
-    fn factor(&self, class: usize, channel: usize, level: u32, band: usize) -> i64 {
-        let step = self.steps.get(Self::index(class, channel, level, band)).copied().unwrap_or(0);
-        factor(step)
+    fn step(&self, class: usize, channel: usize, level: u32, band: usize) -> u8 {
+        self.steps.get(Self::index(class, channel, level, band)).copied().unwrap_or(0)
     }
 }
 
-/// 2^((step - 128) / 16) in 65536ths; 0 of 0.
-fn factor(step: u8) -> i64 {
+impl Amplitudes {
+    /// By class, what the details of a band are multiplied by, in 65536ths.
+    fn factors(
+        &self,
+        details: &[i32],
+        labels: &[u8],
+        side: usize,
+        channel: usize,
+        level: u32,
+        band: usize,
+    ) -> Vec<i64> {
+        let classes = self.steps.len() / Amplitudes::OF_CLASS;
+        let found = strengths(details, labels, side, level, Band::ALL[band], classes);
+        let of = |(class, (places, energy))| factor(self.step(class, channel, level, band), places, energy);
+        found.into_iter().enumerate().map(of).collect()
+    }
+}
+
+/// 2^((step - 64) / 16).
+fn root(step: u8) -> f64 {
     /// 2^(k / 16) in 65536ths.
-    const PARTS: [i64; OCTAVE as usize] = [
-        65536, 68438, 71468, 74632, 77936, 81386, 84990, 88752, 92682, 96785, 101070, 105545, 110218, 115098,
-        120194, 125515,
+    const PARTS: [f64; OCTAVE as usize] = [
+        65536.0, 68438.0, 71468.0, 74632.0, 77936.0, 81386.0, 84990.0, 88752.0, 92682.0, 96785.0, 101070.0,
+        105545.0, 110218.0, 115098.0, 120194.0, 125515.0,
     ];
     let (octave, part) = (u32::from(step) / OCTAVE, u32::from(step) % OCTAVE);
-    if step == 0 { 0 } else { (PARTS[part as usize] << octave) >> (128 / OCTAVE) }
+    PARTS[part as usize] * f64::from(1u32 << octave) / (65_536.0 * f64::from(1u32 << (64 / OCTAVE)))
+}
+
+/// What details of so many places and so much energy are multiplied by to have a step's strength, in 65536ths.
+fn factor(step: u8, places: u64, energy: u64) -> i64 {
+    let wanted = root(step) * root(step) * places as f64;
+    if step == 0 || energy == 0 { 0 } else { ((wanted / energy as f64).sqrt() * 65_536.0).min(1e9) as i64 }
+}
+
+/// Places and energy of each class in a band of a channel.
+fn strengths(
+    details: &[i32],
+    labels: &[u8],
+    side: usize,
+    level: u32,
+    band: Band,
+    classes: usize,
+) -> Vec<(u64, u64)> {
+    let mut out = vec![(0u64, 0u64); classes];
+    for (at, cell) in places(side, level, band) {
+        let Some(s) = out.get_mut(usize::from(labels[cell])) else { continue };
+        s.0 += 1;
+        s.1 = s.1.saturating_add(u64::from(details[at].unsigned_abs()).pow(2));
+    }
+    out
 }
 
 /// Places of a synthetic band, with the label of the cell in the middle of each.
@@ -117,9 +157,10 @@ pub fn complete(
         for channel in 0..3 {
             for level in 1..=SYNTHETIC_LEVELS.min(levels) {
                 for (k, band) in Band::ALL.into_iter().enumerate() {
+                    let factors = amplitudes.factors(&details[channel], labels, side, channel, level, k);
                     for (at, cell) in places(side, level, band) {
                         if sent[channel][at] == 0 {
-                            let f = amplitudes.factor(usize::from(labels[cell]), channel, level, k);
+                            let f = factors.get(usize::from(labels[cell])).copied().unwrap_or(0);
                             sent[channel][at] = scaled(details[channel][at], f);
                         }
                     }
@@ -145,12 +186,8 @@ pub fn energies(
     for channel in 0..3 {
         for level in 1..=SYNTHETIC_LEVELS.min(levels) {
             for (k, band) in Band::ALL.into_iter().enumerate() {
-                let classes = amplitudes.steps.len() / Amplitudes::OF_CLASS;
-                for class in 1..classes {
-                    let f = amplitudes.factor(class, channel, level, k);
-                    if f == 0 {
-                        continue;
-                    }
+                let factors = amplitudes.factors(&details[channel], labels, side, channel, level, k);
+                for (class, f) in factors.into_iter().enumerate().filter(|(_, f)| *f != 0) {
                     let (mut wanted, mut got) = (0.0, 0.0);
                     for (at, _) in
                         places(side, level, band).filter(|(_, cell)| usize::from(labels[*cell]) == class)
@@ -172,7 +209,7 @@ pub fn energies(
 
 /// A detail times an amplitude.
 fn scaled(detail: i32, factor: i64) -> i32 {
-    ((i64::from(detail) * factor) >> 16) as i32
+    ((i64::from(detail) * factor + (1 << 15)) >> 16).clamp(-(1 << 28), 1 << 28) as i32
 }
 
 /// What painted details may add to the squared error of the part that was sent, in parts of it.
@@ -192,34 +229,35 @@ pub fn amplitudes(
     let details = planes::forward(painted, side, levels);
     let square = |v: i32| f64::from(v) * f64::from(v);
     let error: f64 = (0..3).flat_map(|ch| source[ch].iter().zip(&sent[ch])).map(|(a, b)| square(a - b)).sum();
-    // Energy in the source, in the painted picture, and where they go.
+    // Energy in the source, places, and where it goes.
     let mut found: Vec<(f64, f64, usize)> = Vec::new();
     for channel in 0..3 {
         for level in 1..=SYNTHETIC_LEVELS.min(levels) {
             for (k, band) in Band::ALL.into_iter().enumerate() {
-                let mut energies = vec![(0.0, 0.0, false); classes];
+                let mut energies = vec![(0.0, 0.0, 0.0, false); classes];
                 for (at, cell) in places(side, level, band) {
                     let e = &mut energies[usize::from(labels[cell])];
                     e.0 += square(source[channel][at]);
                     e.1 += square(details[channel][at]);
-                    e.2 |= sent[channel][at] != 0;
+                    e.2 += 1.0;
+                    e.3 |= sent[channel][at] != 0;
                 }
                 let empty =
-                    energies.into_iter().enumerate().skip(1).filter(|(_, e)| !e.2 && e.0 > 0.0 && e.1 > 0.0);
-                found.extend(empty.map(|(class, e)| (e.0, e.1, Amplitudes::index(class, channel, level, k))));
+                    energies.into_iter().enumerate().skip(1).filter(|(_, e)| !e.3 && e.0 > 0.0 && e.1 > 0.0);
+                found.extend(empty.map(|(class, e)| (e.0, e.2, Amplitudes::index(class, channel, level, k))));
             }
         }
     }
     found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
     let mut steps = vec![0; classes * Amplitudes::OF_CLASS];
     let mut added = 0.0;
-    for (wanted, there, at) in found {
+    for (wanted, places, at) in found {
         added += wanted;
         if added > ADDED * error {
             break;
         }
-        let wanted = (wanted / there).sqrt() * 65_536.0;
-        let off = |s: u8| (factor(s) as f64 / wanted - 1.0).abs();
+        let wanted = (wanted / places).sqrt();
+        let off = |s: u8| (root(s) / wanted - 1.0).abs();
         steps[at] = (1..=255u8).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(0);
     }
     Amplitudes::new(steps)
