@@ -374,7 +374,7 @@ mod tests {
         };
         let (gone, kept): (Vec<_>, Vec<_>) = triangles.iter().partition(|t| t.contains(&(5 * 17 + 6)));
         assert!(gone.iter().all(|t| area(t) == 1) && !gone.is_empty());
-        let left: i64 = kept.iter().map(|t| area(t)).sum();
+        let left: i64 = kept.iter().map(area).sum();
         assert_eq!(left + gone.len() as i64, 2 * 16 * 16);
         assert!(edges(lattice, &vec![true; 17 * 17]).iter().all(|e| !e));
     }

@@ -212,6 +212,9 @@ fn scaled(detail: i32, factor: i64) -> i32 {
     ((i64::from(detail) * factor + (1 << 15)) >> 16).clamp(-(1 << 28), 1 << 28) as i32
 }
 
+/// Details fainter than this, an eighth of a level of lightness, are not worth painting.
+const FAINT: f64 = 64.0;
+
 /// What painted details may add to the squared error of the part that was sent, in parts of it.
 const ADDED: f64 = 0.04;
 
@@ -242,8 +245,11 @@ pub fn amplitudes(
                     e.2 += 1.0;
                     e.3 |= sent[channel][at] != 0;
                 }
-                let empty =
-                    energies.into_iter().enumerate().skip(1).filter(|(_, e)| !e.3 && e.0 > 0.0 && e.1 > 0.0);
+                let empty = energies
+                    .into_iter()
+                    .enumerate()
+                    .skip(1)
+                    .filter(|(_, e)| !e.3 && e.0 > FAINT * FAINT * e.2 && e.1 > 0.0);
                 found.extend(empty.map(|(class, e)| (e.0, e.2, Amplitudes::index(class, channel, level, k))));
             }
         }

@@ -14,7 +14,7 @@ const NORMS: [i64; 3] = [16, 12, 24];
 /// The same for differences of colour, which count less.
 const COLOUR: i64 = 2;
 
-/// The number that a coefficient of a band is multiplied by, in 16ths.
+/// The number that a coefficient of a band is multiplied by; the product counts in 512ths of a level of lightness.
 fn weight(channel: usize, band: Option<Band>, level: u32) -> i64 {
     let norm = match band {
         Some(Band::Hh) => NORMS[1],
@@ -53,7 +53,7 @@ pub fn forward(rgb: &[[u8; 3]], side: usize, levels: u32) -> [Vec<i32>; 3] {
     }
     for (channel, plane) in planes.iter_mut().enumerate() {
         Wavelet::NineSeven.forward(plane, side, levels);
-        weighed(plane, channel, side, levels, |v, w| (v * w + 128) >> 8);
+        weighed(plane, channel, side, levels, |v, w| (v * w + 16) >> 5);
     }
     planes
 }
@@ -61,7 +61,7 @@ pub fn forward(rgb: &[[u8; 3]], side: usize, levels: u32) -> [Vec<i32>; 3] {
 /// A picture of weighted coefficients.
 pub fn inverse(mut planes: [Vec<i32>; 3], side: usize, levels: u32) -> Vec<[u8; 3]> {
     for (channel, plane) in planes.iter_mut().enumerate() {
-        weighed(plane, channel, side, levels, |v, w| (v * 256 + w / 2) / w);
+        weighed(plane, channel, side, levels, |v, w| (v * 32 + w / 2).div_euclid(w));
         Wavelet::NineSeven.inverse(plane, side, levels);
     }
     let cell = |v: i32| (v + (1 << (FRACTION - 1))) >> FRACTION;

@@ -21,8 +21,8 @@ const PATTERN_LEVELS: u32 = 4;
 const PLAIN_LEVELS: u32 = 6;
 /// Bit planes of patterns below this one are not sent: errors of some ten levels of lightness stay. Beside a plain part they lend their
 /// details only, and less will do.
-const PATTERN_FLOOR: u32 = 5;
-const PATTERN_FLOOR_HYBRID: u32 = 7;
+const PATTERN_FLOOR: u32 = 8;
+const PATTERN_FLOOR_HYBRID: u32 = 10;
 /// Beside a plain part triangles are cut no deeper.
 const DEPTH_HYBRID: u32 = 9;
 
