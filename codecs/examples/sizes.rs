@@ -9,6 +9,21 @@ use terraquilt_codecs::gtb::{Heights, Options, Profile, Stop, decode, encode};
 /// What files write where there is no data.
 const VOID: i32 = -32_768;
 
+/// Runs of which the quickest counts.
+const RUNS: usize = 7;
+
+/// What `f` makes, and the least time that it took in [`RUNS`] runs.
+fn best<T>(f: impl Fn() -> T) -> (T, f64) {
+    let run = || {
+        let begun = Instant::now();
+        (f(), begun.elapsed().as_secs_f64())
+    };
+    (1..RUNS).fold(run(), |a, _| {
+        let b = run();
+        if b.1 < a.1 { b } else { a }
+    })
+}
+
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let [profile, layers, files @ ..] = args.as_slice() else {
@@ -26,13 +41,11 @@ fn main() {
         let void = if z.contains(&VOID) { z.iter().map(|z| *z == VOID).collect() } else { Vec::new() };
         let heights = Heights { cols, rows, z, void };
         let options = Options { layers: layers.clone(), ..Options::new(profile, 0) };
-        let begun = Instant::now();
-        let encoded = encode(&heights, &options, &mut Alone, &mut |_| true).expect(file);
-        let encoding = begun.elapsed().as_secs_f64();
-        let begun = Instant::now();
-        let (mut body, mut going) = (Vec::new(), |_: f64| true);
-        let decoded = decode(&encoded.bytes, &mut body, Stop::End, None, &mut Alone, &mut going).expect(file);
-        let decoding = begun.elapsed().as_secs_f64();
+        let (encoded, encoding) = best(|| encode(&heights, &options, &mut Alone, &mut |_| true).expect(file));
+        let (decoded, decoding) = best(|| {
+            let (mut body, mut going) = (Vec::new(), |_: f64| true);
+            decode(&encoded.bytes, &mut body, Stop::End, None, &mut Alone, &mut going).expect(file)
+        });
         assert!(decoded.complete && decoded.z == encoded.z, "{file}: what came out is not what went in");
         let samples = (cols * rows) as f64;
         let name = std::path::Path::new(file).file_stem().unwrap_or_default().to_string_lossy().into_owned();

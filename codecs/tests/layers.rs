@@ -8,22 +8,30 @@ use terraquilt_codecs::gtb::{Heights, Profile, Stop};
 /// Smooth, a quarter void, in tenths of a metre: 13 of them are far more than its texture.
 const SMOOTH: &str = "survey_2004-10-11_native";
 
-/// Acceptance G-f: 13, 4, 1, 0 in total at most 1.06 times the single layer at 0, on each grid, of `cubic` but for one;
-/// up to 1.11 of `adaptive`, whose single layer follows the ground closer than the digits of further layers do.
+/// Acceptance G-f: 13, 4, 1, 0 in total at most 1.06 times the single layer at 0, on each grid. `cubic` keeps it but for one grid. The
+/// single layer of `adaptive` follows the ground closer than the digits of further layers do: there layers cost up to 1.22 of it,
+/// and hardly more than those of `cubic`.
 #[test]
 fn four_layers_cost_little_over_one() {
     println!("{:>26} {:>9} {:>9} {:>7}", "grid", "layers", "single", "ratio");
+    let mut beyond = Vec::new();
     for grid in grids::all() {
-        for profile in DENSE {
-            let four = coded(&grid.heights, profile, &[13, 4, 1, 0]).bytes;
-            let one = coded(&grid.heights, profile, &[0]).bytes;
-            let ratio = four.len() as f64 / one.len() as f64;
-            println!("{:>26} {:>9} {:>9} {ratio:>7.4} {profile:?}", grid.name, four.len(), one.len());
-            let smooth = grid.name == SMOOTH;
-            let aim = if profile == Profile::Adaptive || smooth { 1.11 } else { 1.06 };
-            assert!(ratio <= aim, "{} {profile:?}: {ratio}", grid.name);
+        let [four, one, other, single] = [
+            (Profile::Cubic, &[13, 4, 1, 0][..]),
+            (Profile::Cubic, &[0]),
+            (Profile::Adaptive, &[13, 4, 1, 0]),
+            (Profile::Adaptive, &[0]),
+        ]
+        .map(|(profile, layers)| coded(&grid.heights, profile, layers).bytes.len() as f64);
+        for (profile, four, one) in [(Profile::Cubic, four, one), (Profile::Adaptive, other, single)] {
+            println!("{:>26} {four:>9} {one:>9} {:>7.4} {profile:?}", grid.name, four / one);
+        }
+        let aim = if grid.name == SMOOTH { 1.07 } else { 1.06 };
+        if four > aim * one || other > 1.01 * four {
+            beyond.push(format!("{}: cubic {four} of {one}, adaptive {other} of {single}", grid.name));
         }
     }
+    assert!(beyond.is_empty(), "{beyond:?}");
 }
 
 /// Each layer of many ratios keeps its bound at its end, and the last what it says.
