@@ -96,12 +96,12 @@ impl<'a> Drape<'a> {
         let pixels = self.pixels_of(col, row, 1.0).unwrap_or([1.0, 1.0]);
         let across = self.square.lattice.last() as f64 * pixels[0].max(pixels[1]);
         let n = across.max(1.0).log2().round() as u32;
-        n.min(CELLS_N_USUAL)
+        n.clamp(1, CELLS_N_USUAL)
     }
 
     /// The picture on 2^n x 2^n cells over the square, each the mean of its pixels where the picture is finer, else bilinear
-    /// between pixel centres. Cells off the picture, off the rectangle or over void pixels are void. Holds the part of the
-    /// picture that is needed and 4 bytes a cell.
+    /// between pixel centres. Cells off the picture or over void pixels are void. Cells off the rectangle, which nobody sees, go on as the
+    /// nearest of it. Holds the part of the picture that is needed and 4 bytes a cell.
     ///
     /// # Errors
     /// [`Error::Invalid`] if the picture has no pixel there; [`Error::Limit`] for n beyond that of a lattice and if the part of
@@ -144,17 +144,31 @@ impl<'a> Drape<'a> {
                 }
             }
         }
+        self.go_on_outside(&mut out, posts_a_cell);
         if !out.void.contains(&true) {
             out.void.clear();
         }
         Ok(out)
     }
 
+    /// Gives cells off the rectangle what the nearest cell of it has.
+    fn go_on_outside(&self, cells: &mut Cells, posts_a_cell: f64) {
+        let side = 1usize << cells.n;
+        let inside = |posts: usize| (1..side).take_while(|k| begins_inside(*k, posts, posts_a_cell)).count();
+        let (last_row, last_col) = (inside(self.square.rows), inside(self.square.cols));
+        for k in 0..side * side {
+            let (i, j) = (k / side, k % side);
+            let from = i.min(last_row) * side + j.min(last_col);
+            cells.rgb[k] = cells.rgb[from];
+            cells.void[k] = cells.void[from];
+        }
+    }
+
     /// Column and row of the picture, counted from the centre of its first pixel, at the centre of a cell that touches the
     /// rectangle.
     fn pixel(&self, i: usize, j: usize, posts_a_cell: f64) -> Option<[f64; 2]> {
-        let begins_inside = |k: usize, posts: usize| k == 0 || (k as f64) * posts_a_cell < (posts - 1) as f64;
-        if !begins_inside(i, self.square.rows) || !begins_inside(j, self.square.cols) {
+        let inside = |k: usize, posts: usize| begins_inside(k, posts, posts_a_cell);
+        if !inside(i, self.square.rows) || !inside(j, self.square.cols) {
             return None;
         }
         let p = self.at((j as f64 + 0.5) * posts_a_cell, (i as f64 + 0.5) * posts_a_cell)?;
@@ -216,6 +230,11 @@ impl<'a> Drape<'a> {
         }
         Ok(Some(Window { col: from[0], row: from[1], cols: cols as usize, rows: rows as usize }))
     }
+}
+
+/// Whether a row or column of cells touches the rectangle of so many posts.
+fn begins_inside(k: usize, posts: usize, posts_a_cell: f64) -> bool {
+    k == 0 || (k as f64) * posts_a_cell < (posts - 1) as f64
 }
 
 /// The mean of the pixels whose centres lie in a box around `p`; `None` if fewer than half of them have a colour.

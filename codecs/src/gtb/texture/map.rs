@@ -10,6 +10,9 @@ use crate::range::{Bit, Coder};
 /// Deepest triangles that have contexts of their own.
 const DEPTHS: usize = 28;
 
+/// How deep triangles are cut where ground with a picture meets ground without.
+pub const DEPTH_VOID: u32 = 16;
+
 /// The map while it is coded; the same on both sides.
 pub struct Map {
     /// Classes and which triangles are cut, as far as they are coded.
@@ -33,8 +36,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// The least triangles whose commonest class has `tolerance` of the cells, no deeper than `depth_max`. `labels`: class of each
-    /// cell, `2^n` a side.
+    /// The least triangles whose commonest class has `tolerance` of the cells, no deeper than `depth_max`; where the picture ends, no
+    /// deeper than [`DEPTH_VOID`]. `labels`: class of each cell, `2^n` a side.
     pub fn new(lattice: Lattice, labels: &[u8], tolerance: f64, depth_max: u32) -> Plan {
         let mut tree = Tree::new(lattice);
         let n = lattice.last();
@@ -52,7 +55,8 @@ impl Plan {
             // Of no cells: as the triangle above.
             let class = if cells.is_empty() { above } else { class };
             let pure = counts[class] as f64 >= tolerance * cells.len() as f64;
-            let children = tree.children(t).filter(|_| !pure && tree.depth(t) < depth_max);
+            let deepest = if counts[0] > 0 { depth_max.max(DEPTH_VOID) } else { depth_max };
+            let children = tree.children(t).filter(|_| !pure && tree.depth(t) < deepest);
             tree.set(t, class, children.is_some());
             if let Some(children) = children {
                 let (first, second): (Vec<_>, Vec<_>) =

@@ -5,7 +5,7 @@
 //! the amplitudes of synthetic details.
 
 use super::labels::{filled, labels};
-use super::map::{Map, Plan};
+use super::map::{DEPTH_VOID, Map, Plan};
 use super::paint::{self, Amplitudes, Look};
 use super::patterns::{PATTERN, Window, cut, means, windows};
 use super::planes;
@@ -102,6 +102,7 @@ impl Writer {
         let plain_parts = plain.as_ref().map_or(0, |s| planes::parts_within(s, side, levels, budget));
         let depth_max = settings.depth_max.min(if plain_parts > 0 { DEPTH_HYBRID } else { 31 });
         let plan = Plan::new(lattice, &labels, settings.tolerance, depth_max);
+        let depth_max = if labels.contains(&0) { depth_max.max(DEPTH_VOID) } else { depth_max };
         let sender = Sender { plan, plain, plain_parts, depth_max, colours, patterns, coefficients };
         Ok(Writer { state: State::new(cells.n), sender })
     }
