@@ -5,6 +5,7 @@ mod bitree;
 mod damage;
 mod frame;
 mod given;
+mod golden;
 mod layers;
 mod prefixes;
 mod smallest;
