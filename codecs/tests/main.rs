@@ -5,6 +5,7 @@ mod bitree;
 mod damage;
 mod frame;
 mod given;
+mod hostile;
 mod layers;
 mod prefixes;
 mod smallest;
