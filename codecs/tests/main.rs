@@ -6,6 +6,7 @@ mod damage;
 mod frame;
 mod given;
 mod golden;
+mod hostile;
 mod layers;
 mod prefixes;
 mod smallest;

@@ -9,6 +9,12 @@ pub trait Companion<C: Coder> {
     /// `false` lets the loops over posts leave the calls out.
     const ACTIVE: bool = true;
 
+    /// n of the cells of the texture that it writes or reads; `None`: none. A stream whose head says otherwise is refused: what the
+    /// companion does not take would be read as heights.
+    fn texture(&self) -> Option<u32> {
+        None
+    }
+
     /// Once, before the corners.
     fn start(&mut self, _lattice: Lattice, _c: &mut C) {}
 

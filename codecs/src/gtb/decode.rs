@@ -46,7 +46,7 @@ pub struct Decoded {
 
 /// Decodes a file or any prefix of one. `given`: the heights that a stream refines. `going` as for [`encode()`](super::encode()).
 ///
-/// An error where not even the corners are there, or the head is damaged; whatever follows, the answer is a surface. A bit that
+/// An error where not even the corners are there, the head is damaged, or tells of a texture that the companion does not read; whatever follows, the answer is a surface. A bit that
 /// was flipped within a block whose checksum is there ends the answer before that block.
 pub fn decode<'a, T: Companion<Decoder<'a>>>(
     bytes: &[u8],
@@ -59,8 +59,9 @@ pub fn decode<'a, T: Companion<Decoder<'a>>>(
     decode_within(u64::MAX, bytes, body, stop, given, companion, going)
 }
 
-/// As [`decode()`], for bytes that nobody vouches for: a lattice of more than `posts_max` posts is an [`Error::Limit`], before anything is
-/// allocated for it. Memory: at most 16 bytes a post of the lattice, what the companion takes, and the bytes.
+/// As [`decode()`], for bytes that nobody vouches for: a lattice of more than `posts_max` posts, or a texture of more cells than that, is
+/// an [`Error::Limit`], before anything is allocated for it. Memory: at most 24 bytes a post of the lattice, 18 a cell of the texture
+/// (50 while a picture is painted), and the bytes.
 pub fn decode_within<'a, T: Companion<Decoder<'a>>>(
     posts_max: u64,
     bytes: &[u8],
@@ -79,6 +80,11 @@ pub fn decode_within<'a, T: Companion<Decoder<'a>>>(
     if posts > posts_max {
         return Err(Error::Limit { what: "posts of the lattice", limit: posts_max, wanted: posts });
     }
+    let cells = header.texture.map_or(0, |n| 1u64 << (2 * n));
+    if cells > posts_max {
+        return Err(Error::Limit { what: "cells of the texture", limit: posts_max, wanted: cells });
+    }
+    header.accompanied(companion.texture())?;
     let read = unblocked(&bytes[head..], header.body);
     *body = read.bytes;
     let mut field = Field::new(&header, given)?;
@@ -98,7 +104,7 @@ pub fn decode_within<'a, T: Companion<Decoder<'a>>>(
         if !going((layer as f64 + done) / header.layers.len() as f64) {
             return Err(Error::Stopped);
         }
-        Ok(f64::from(header.bound(layer, number + 1)) > wanted)
+        Ok(wanted.is_nan() || f64::from(header.bound(layer, number + 1)) > wanted)
     };
     if !header.mask || mask::code(&header, &mut field, None, &mut c) {
         companion.start(header.lattice, &mut c);

@@ -129,6 +129,8 @@ pub fn encode<T: Companion<Encoder>>(
         bounds: Vec::new(),
         body: 0,
     };
+    header.check()?;
+    header.accompanied(companion.texture())?;
     let z = spread(heights, lattice);
     let mut field = Field::new(&header, options.given)?;
     let mut c = Encoder::new();

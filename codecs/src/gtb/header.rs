@@ -13,6 +13,8 @@ pub const VERSION: u8 = 1;
 pub const BLOCK: usize = 16 << 10;
 /// Longest head.
 pub const HEADER_BYTES_MAX: usize = 16 << 10;
+/// Most bytes of all texts in a head: what is left beside the numbers.
+pub const TEXT_BYTES_MAX: usize = 15 << 10;
 /// Layers at most.
 pub const LAYERS_MAX: usize = 8;
 /// Greatest bound of a layer, in units.
@@ -231,6 +233,9 @@ impl Header {
             .collect::<Result<Vec<u32>>>()?;
         check_layers(profile, &layers)?;
         let texture = (flags & TEXTURE != 0).then(|| r.byte().map(u32::from)).transpose()?;
+        if texture == Some(0) {
+            return Err(Error::damaged("head", "a texture of one cell; 2^m a side with m from 1 are known"));
+        }
         if let Some(n) = texture.filter(|n| *n > N_MAX) {
             return Err(Error::Limit {
                 what: "n of the texture",
@@ -284,6 +289,51 @@ impl Header {
         let mask = flags & MASK != 0;
         let (cols, rows) = (cols as usize, rows as usize);
         Ok(Header { cols, rows, lattice, profile, layers, mask, texture, given, place, bounds, body })
+    }
+
+    /// Refuses what a reader would: places that are no numbers, units of nothing, a texture of one cell, texts that no head can hold.
+    pub(super) fn check(&self) -> Result<()> {
+        let p = &self.place;
+        let reals = [p.unit, p.base, p.given_error].into_iter().chain(p.transform);
+        if reals.into_iter().any(|v| !v.is_finite()) || p.unit <= 0.0 || p.given_error < 0.0 {
+            return Err(Error::invalid(
+                "place",
+                format!(
+                    "unit {}, base {}, error {}, transform {:?}; finite numbers, a unit above 0 and no error below 0 are needed",
+                    p.unit, p.base, p.given_error, p.transform
+                ),
+            ));
+        }
+        let texts = p.crs.len() + p.vertical.len() + p.source.len();
+        if texts > TEXT_BYTES_MAX {
+            return Err(Error::Limit {
+                what: "bytes of texts (CRS, vertical, source) in the head",
+                limit: TEXT_BYTES_MAX as u64,
+                wanted: texts as u64,
+            });
+        }
+        match self.texture {
+            Some(n) if !(1..=N_MAX).contains(&n) => {
+                Err(Error::invalid("texture", format!("2^{n} cells a side; n is 1 to {N_MAX}")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses a companion whose texture (n of its cells) is not the head's: what it does not take would be read as heights.
+    pub(super) fn accompanied(&self, texture: Option<u32>) -> Result<()> {
+        if self.texture == texture {
+            return Ok(());
+        }
+        let tell = |n: Option<u32>| n.map_or("none".to_string(), |n| format!("2^{n} cells a side"));
+        Err(Error::invalid(
+            "texture",
+            format!(
+                "the head says {}, the companion takes {}; take the companion that the head asks for",
+                tell(self.texture),
+                tell(texture)
+            ),
+        ))
     }
 
     /// The greatest error in units of a prefix that holds so many passes of a layer, wholly or with a part of the next.

@@ -155,6 +155,10 @@ where
 {
     const ACTIVE: bool = T::ACTIVE;
 
+    fn texture(&self) -> Option<u32> {
+        self.inner.texture()
+    }
+
     fn start(&mut self, lattice: Lattice, c: &mut Decoder<'a>) {
         self.weigh(c, |t, c| t.start(lattice, c));
     }

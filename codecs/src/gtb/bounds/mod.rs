@@ -26,8 +26,8 @@ use multiversion::multiversion;
 
 /// Distance of the corners of a cell that is looked at as a whole: two halvings.
 const FINE: usize = 4;
-/// Greatest magnitude in units that fixed point takes: heights with their error.
-const MAGNITUDE_MAX: u32 = (1 << 25) + (1 << 20);
+/// Greatest magnitude in units that fixed point takes: four of them, in 16ths, are added in [`corners`].
+const MAGNITUDE_MAX: u32 = (1 << 25) - 1;
 
 /// Of each pass, and of the whole first layer: the greatest error in units, rounded up. `z`: the heights on the lattice.
 ///

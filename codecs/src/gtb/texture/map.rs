@@ -65,9 +65,16 @@ impl Plan {
                 work.push((children[1], second, class));
             }
         }
-        let mut numbers = vec![None; CLASSES_MAX];
-        numbers[0] = Some(0);
-        Plan { tree, numbers, met: vec![0] }
+        let mut plan = Plan { tree, numbers: Vec::new(), met: Vec::new() };
+        plan.begin();
+        plan
+    }
+
+    /// No class was met but that of cells without a picture.
+    pub fn begin(&mut self) {
+        self.numbers = vec![None; CLASSES_MAX];
+        self.numbers[0] = Some(0);
+        self.met = vec![0];
     }
 
     /// The number of a triangle's class in the stream, whether the triangle is cut, and the sender's class.

@@ -64,7 +64,7 @@ pub fn inverse(mut planes: [Vec<i32>; 3], side: usize, levels: u32) -> Vec<[u8; 
         weighed(plane, channel, side, levels, |v, w| (v * 32 + w / 2).div_euclid(w));
         Wavelet::NineSeven.inverse(plane, side, levels);
     }
-    let cell = |v: i32| (v + (1 << (FRACTION - 1))) >> FRACTION;
+    let cell = |v: i32| v.wrapping_add(1 << (FRACTION - 1)) >> FRACTION;
     (0..side * side).map(|k| together([0, 1, 2].map(|ch| cell(planes[ch][k])))).collect()
 }
 

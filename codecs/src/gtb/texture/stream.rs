@@ -133,9 +133,10 @@ impl Writer {
 }
 
 impl Reader {
-    /// For a head that says `texture: Some(n)`.
+    /// For a head that says `texture: Some(n)`; there is no head with n beyond [`N_MAX`](crate::lattice::N_MAX), which it is held to.
+    /// Reads one stream after the other: each begins anew.
     pub fn new(n: u32) -> Reader {
-        Reader { state: State::new(n) }
+        Reader { state: State::new(n.min(crate::lattice::N_MAX)) }
     }
 
     /// The picture as far as it came; the same seed paints the same bytes everywhere.
@@ -159,6 +160,9 @@ fn lattice(n: u32) -> Result<Lattice> {
 }
 
 impl<C: Coder> Companion<C> for Writer {
+    fn texture(&self) -> Option<u32> {
+        Some(self.state.n)
+    }
     fn start(&mut self, lattice: Lattice, c: &mut C) {
         self.state.start(lattice, c, Some(&mut self.sender));
     }
@@ -174,6 +178,9 @@ impl<C: Coder> Companion<C> for Writer {
 }
 
 impl<C: Coder> Companion<C> for Reader {
+    fn texture(&self) -> Option<u32> {
+        Some(self.state.n)
+    }
     fn start(&mut self, lattice: Lattice, c: &mut C) {
         self.state.start(lattice, c, None);
     }
@@ -202,11 +209,13 @@ impl State {
         }
     }
 
-    fn start<C: Coder>(&mut self, heights: Lattice, c: &mut C, sender: Option<&mut Sender>) {
-        let Ok(lattice) = lattice(self.n) else { return };
-        if self.n == 0 {
-            return;
+    fn start<C: Coder>(&mut self, heights: Lattice, c: &mut C, mut sender: Option<&mut Sender>) {
+        // A stream begins with nothing, also where the companion has gone with another before.
+        *self = State::new(self.n);
+        if let Some(s) = sender.as_deref_mut() {
+            s.plan.begin();
         }
+        let Some(lattice) = lattice(self.n).ok().filter(|l| l.n() > 0) else { return };
         self.passes = 2 * heights.n();
         let side = lattice.last();
         let depth_max = c.bits(5, sender.as_ref().map_or(0, |s| s.depth_max));
@@ -244,6 +253,9 @@ impl State {
     }
 
     fn pass<C: Coder>(&mut self, pass: Pass, c: &mut C, mut sender: Option<&mut Sender>) {
+        if self.map.is_none() {
+            return;
+        }
         let number =
             2 * (self.passes / 2 - 1 - pass.step.trailing_zeros()) + u32::from(pass.kind == Kind::Edges);
         self.rest(number, c, sender.as_deref_mut());
