@@ -3,7 +3,7 @@
 use crate::support::grids;
 use crate::support::random::Random;
 use crate::support::streams::{DENSE, coded, every, read, read_with, refining, whole, wrong};
-use terraquilt_codecs::gtb::{Given, Heights, Stop};
+use terraquilt_codecs::gtb::{Given, Heights, Profile, Stop};
 
 /// Every `step`-th post, and a rectangle of all of them, as decoded from a stream of bound `e`.
 fn held(heights: &Heights, e: u32, step: usize) -> Given {
@@ -72,4 +72,23 @@ fn another_state_is_refused() {
     // A stream that refines nothing takes no notice.
     assert_eq!(whole(&coded(&heights, DENSE[0], &[0]).bytes).bound, 0);
     assert!(read(&bytes, Stop::End).is_err());
+}
+
+/// A given height that is wrong, within ground that the first prefixes show too high: the bound of these prefixes counts it.
+#[test]
+fn a_wrong_given_height_counts_in_every_bound() {
+    let mut heights = Heights::new(17, 17, vec![-100; 289]);
+    [0, 16, 272, 288].into_iter().for_each(|corner| heights.z[corner] = 0);
+    heights.z[12 * 17 + 4] = -450;
+    let mut given = Given { z: vec![0; 289], known: vec![false; 289] };
+    (given.z[6 * 17 + 10], given.known[6 * 17 + 10]) = (-600, true);
+    let bytes = refining(&heights, Profile::Cubic, &[0], Some(&given)).bytes;
+    let mut shown = 0;
+    for cut in 0..=bytes.len() {
+        let Ok(d) = read_with(&bytes[..cut], Stop::End, Some(&given)) else { continue };
+        let (most, _) = wrong(&heights, &d);
+        assert!(most >= 500.0 && most <= f64::from(d.bound), "{cut} bytes: {most} and not {}", d.bound);
+        shown += 1;
+    }
+    assert!(shown > 10);
 }

@@ -103,7 +103,8 @@ fn write(h: &Heights, options: &Options, cells: Option<&Cells>, r: &mut Random) 
 /// Whatever travels together, wherever it is cut, whyever it stops: the surface is as good as it says.
 #[test]
 fn bounds_hold_for_everything_together() {
-    for seed in 0..rounds(150) {
+    // Seed 2836: a given post among posts that all lie lower.
+    for seed in (0..rounds(150)).chain([2836]) {
         let mut r = Random::new(seed);
         let h = heights(&mut r);
         let lattice = Lattice::around(h.cols, h.rows).unwrap();

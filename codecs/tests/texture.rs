@@ -114,7 +114,8 @@ fn coded(cells: &Cells, plain: f64) -> (Writer, usize) {
 }
 
 /// Acceptance G-h: classes and patterns take less than 1 % of raw; the hybrid loses less than 1 dB to the wavelet at the same bytes, and
-/// the bands that it paints have the energy of the source.
+/// the bands that it paints have the energy of the source. It paints few: three to fourteen of some 160 bands of classes, for all others would
+/// cost more than that; they stay smooth.
 fn held_to_g_h(what: &str, cells: &Cells) {
     let raw = 3 * cells.rgb.len();
     let (_, alone) = coded(cells, 0.0);
@@ -124,7 +125,10 @@ fn held_to_g_h(what: &str, cells: &Cells) {
     let (ours, theirs) = (psnr(cells, &hybrid.picture(1)), psnr(cells, &wavelet.sent()));
     println!("{what}: patterns {alone} bytes, hybrid {bytes} bytes {ours:.2} dB, wavelet {theirs:.2} dB");
     assert!(ours >= theirs - 1.0, "{what}: {ours} dB, the wavelet {theirs}");
-    for (place, wanted, got) in hybrid.energies(1) {
+    let painted = hybrid.energies(1);
+    assert!(!painted.is_empty(), "{what}: nothing is painted");
+    println!("{what}: {} bands of classes are painted of {}", painted.len(), 18 * hybrid.sizes().classes);
+    for (place, wanted, got) in painted {
         assert!((got / wanted - 1.0).abs() <= 0.1, "{what}, {place}: energy {got}, the source's is {wanted}");
     }
 }

@@ -12,7 +12,7 @@
 //! The quick way: near the end (steps up to [`FINE`]), the interval of each post, in fixed point, row by row. Before that, the intervals are
 //! taken at every [`FINE`]-th post; the surface S of all posts of that step differs from a prefix P by what it differs at
 //! those posts and by means of that, and z - S within each cell is measured once: z - P is at most the greatest z - S of the
-//! cell and the greatest S - P of its four corners. Only cells that could be worse than the worst so far are
+//! cell and the greatest S - P of its four corners, or 0 where posts within were given. Only cells that could be worse than the worst so far are
 //! evaluated post by post. The result is that of the definition, but for the rounding of [`hull`].
 
 mod hull;
@@ -186,12 +186,14 @@ impl Cells {
     fn worst(&self, all: &All, hull: &Hull) -> u32 {
         let (cells, side) = (self.cells, hull.side);
         let mut bounds = vec![0; cells * cells];
+        // At a given post within the cell S and P are the same.
+        let least = if all.ground.status.is_empty() { EMPTY } else { 0 };
         for (i, bounds) in bounds.chunks_exact_mut(cells).enumerate() {
             let rows = i * side..(i + 2) * side;
             let up = [&self.known.low[rows.clone()], &hull.low[rows.clone()]];
             let down = [&hull.high[rows.clone()], &self.known.high[rows]];
-            corners(up, &self.above[i * cells..][..cells], bounds);
-            corners(down, &self.below[i * cells..][..cells], bounds);
+            corners(up, &self.above[i * cells..][..cells], least, bounds);
+            corners(down, &self.below[i * cells..][..cells], least, bounds);
         }
         // The cell that promises to be the worst, then all that could be worse.
         let most = bounds.iter().fold(0, |m, b| m.max(*b));
@@ -206,15 +208,16 @@ impl Cells {
     }
 }
 
-/// Of each cell of a row the greatest of what `of` differs by at its four corners, and its own distance; two rows of corners each.
+/// Of each cell of a row the greatest of what `of` differs by at its four corners (at least `least`), and its own distance; two rows of
+/// corners each.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn corners(of: [&[i32]; 2], own: &[i32], most: &mut [i32]) {
+fn corners(of: [&[i32]; 2], own: &[i32], least: i32, most: &mut [i32]) {
     let n = most.len();
     let [(a, b), (c, d)] = of.map(|two| two.split_at(n + 1));
     let at = |j: usize| (a[j] - c[j]).max(b[j] - d[j]);
     for j in 0..n {
         // A 16th for each halving within the cell.
-        most[j] = most[j].max(at(j).max(at(j + 1)) + own[j] + FINE.ilog2() as i32);
+        most[j] = most[j].max(at(j).max(at(j + 1)).max(least) + own[j] + FINE.ilog2() as i32);
     }
 }
 
