@@ -28,11 +28,11 @@ fn picture() -> Cells {
 type Case = (&'static str, Profile, &'static [u32], bool, u32, Option<u32>);
 
 const CASES: [Case; 5] = [
-    ("cubic", Profile::Cubic, &[0], false, 0, None),
-    ("cubic_layers_voids", Profile::Cubic, &[13, 4, 1, 0], true, 0, None),
-    ("adaptive", Profile::Adaptive, &[2], true, 0, None),
-    ("sparse", Profile::Sparse, &[1], false, 0, None),
-    ("texture", Profile::Cubic, &[1], false, 0, Some(0)),
+    ("cubic", Profile::Cubic, &[0], false, 0x9b79_7a09, None),
+    ("cubic_layers_voids", Profile::Cubic, &[13, 4, 1, 0], true, 0xefcc_09dd, None),
+    ("adaptive", Profile::Adaptive, &[2], true, 0xb987_0917, None),
+    ("sparse", Profile::Sparse, &[1], false, 0x33a7_9e5c, None),
+    ("texture", Profile::Cubic, &[1], false, 0x0ee8_c98b, Some(0x9618_c1ea)),
 ];
 
 fn place() -> Place {
