@@ -81,7 +81,7 @@ impl Wavelet {
     }
 
     /// Transforms `plane`, `side * side` cells, in place, over `levels` levels; `side` is a power of two and `levels` at most its
-    /// logarithm. Time: linear, about 2 ns a cell; memory beside the plane: 64 bytes a row.
+    /// logarithm. Time: linear; memory beside the plane: 64 bytes a row.
     pub fn forward(self, plane: &mut [i32], side: usize, levels: u32) {
         check(plane, side, levels);
         let mut line = Line::new(side);

@@ -60,7 +60,7 @@ struct Sender {
     coefficients: [Vec<i32>; 3],
 }
 
-/// Bytes that the parts of a texture took.
+/// How large a texture is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sizes {
     /// Cells of the picture.
