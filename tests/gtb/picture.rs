@@ -131,10 +131,11 @@ fn without_a_place_a_picture_is_spread_over_the_grid() {
                 assert!((p[k] - expected[k]).abs() < slack, "{cols} x {rows}: {p:?} {expected:?}");
             }
         }
-        // Off the grid there is nothing to paint.
-        assert!(
-            shown(&cells, 45, 10, (cols, rows)).is_none() && shown(&cells, 10, 60, (cols, rows)).is_none()
-        );
+        // Off the grid, where nobody looks, the last cells go on.
+        let same = |a: [usize; 2], b: [usize; 2]| {
+            shown(&cells, a[0], a[1], (cols, rows)) == shown(&cells, b[0], b[1], (cols, rows))
+        };
+        assert!(same([45, 10], [38, 10]) && same([10, 60], [10, 48]) && same([63, 63], [38, 48]));
     }
 }
 
@@ -154,15 +155,15 @@ fn a_picture_of_another_system_that_covers_a_part_lands_where_its_pixels_lie() {
     place(&path, a, "EPSG:4326");
     let (cells, _) = cells(&grid, &path, Some(7));
     let (mut met, mut void) = (0, 0);
-    for i in 0..128 {
-        for j in 0..128 {
+    for i in 0..69 {
+        for j in 0..89 {
             let (row, col) = (i as f64 + 0.5, j as f64 + 0.5);
             let p = way.forward([posts.origin[0] + 10.0 * col, posts.origin[1] - 10.0 * row]).unwrap();
             let d = [p[0] - a.origin[0], p[1] - a.origin[1]];
             let area = a.col_step[0] * a.row_step[1] - a.col_step[1] * a.row_step[0];
             let u = (d[0] * a.row_step[1] - d[1] * a.row_step[0]) / area;
             let v = (a.col_step[0] * d[1] - a.col_step[1] * d[0]) / area;
-            let on = u >= -0.5 && v >= -0.5 && u < 199.5 && v < 199.5 && i < 69 && j < 89;
+            let on = u >= -0.5 && v >= -0.5 && u < 199.5 && v < 199.5;
             match shown(&cells, i, j, (200, 200)) {
                 None => {
                     void += 1;
@@ -175,7 +176,7 @@ fn a_picture_of_another_system_that_covers_a_part_lands_where_its_pixels_lie() {
             }
         }
     }
-    assert!(met > 800 && void > 10_000, "{met} {void}");
+    assert!(met > 800 && void > 3000, "{met} {void}");
 }
 
 #[test]

@@ -82,6 +82,11 @@ pub fn strips(lattice: Lattice, needed: &[bool]) -> Vec<Vec<u32>> {
     roots(lattice).map(strip).to_vec()
 }
 
+/// Some of the [`triangles`] as one strip, as [`strips`] makes them: those that are drawn where posts lack data.
+pub fn strip(lattice: Lattice, triangles: &[[u32; 3]]) -> Vec<u32> {
+    strips::strip(lattice.side() * lattice.side(), triangles)
+}
+
 /// Apex, and the ends of the hypotenuse: counter-clockwise.
 type Triangle = [Post; 3];
 

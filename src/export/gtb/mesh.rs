@@ -126,7 +126,7 @@ pub fn write_mesh(out: &mut dyn Write, p: &Prefix, request: MeshRequest, going: 
     posts.iter().zip(0..).for_each(|(at, k)| number[*at] = k);
     go_on(going, "mesh", 0.6)?;
     let ground = Ground::new(p);
-    let mut strip = request.strips.then(|| join(&bitree::strips(lattice, &needed), drawn));
+    let mut strip = request.strips.then(|| bitree::strip(lattice, &triangles));
     if ground.mirrored {
         triangles.iter_mut().for_each(|t| t.swap(1, 2));
         if let Some(strip) = strip.as_mut().filter(|s| !s.is_empty()) {
@@ -191,35 +191,6 @@ fn extras(p: &Prefix, mesh_error_m: f64, strips: bool) -> Map<String, serde_json
         );
     }
     extras
-}
-
-/// Strips without the triangles that are not drawn, as one: parts are joined by posts that are there twice, and by one more
-/// where the orientation would turn.
-fn join(strips: &[Vec<u32>], drawn: impl Fn(&[u32; 3]) -> bool) -> Vec<u32> {
-    let mut out: Vec<u32> = Vec::new();
-    for strip in strips {
-        let mut begun = false;
-        for (k, t) in strip.windows(3).enumerate() {
-            let t = [t[0], t[1], t[2]];
-            let is_empty = t[0] == t[1] || t[1] == t[2] || t[0] == t[2];
-            if !is_empty && !drawn(&t) {
-                begun = false;
-            } else if begun {
-                out.push(t[2]);
-            } else if !is_empty {
-                if let Some(last) = out.last().copied() {
-                    out.extend([last, t[0]]);
-                }
-                // A triangle at an odd place runs the other way.
-                if out.len() % 2 != k % 2 {
-                    out.push(t[0]);
-                }
-                out.extend(t);
-                begun = true;
-            }
-        }
-    }
-    out
 }
 
 /// Posts in metres around an origin.
@@ -337,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joined_strip_makes_the_triangles_that_are_drawn_and_no_other() {
+    fn a_strip_makes_the_triangles_that_are_drawn_and_no_other() {
         let mut state = 9u64;
         let mut random = || {
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -351,10 +322,11 @@ mod tests {
                 let free: Vec<bool> = (0..posts).map(|_| round > 4 && random() % 5 == 0).collect();
                 let needed = bitree::needed(lattice, &selected);
                 let drawn = |t: &[u32; 3]| t.iter().all(|at| !free[*at as usize]);
-                let mut triangles: Vec<[u32; 3]> =
-                    bitree::triangles(lattice, &needed).into_iter().filter(drawn).map(turned).collect();
+                let kept: Vec<[u32; 3]> =
+                    bitree::triangles(lattice, &needed).into_iter().filter(drawn).collect();
+                let mut triangles: Vec<[u32; 3]> = kept.iter().copied().map(turned).collect();
                 triangles.sort_unstable();
-                assert_eq!(made(&join(&bitree::strips(lattice, &needed), drawn)), triangles, "n {n}");
+                assert_eq!(made(&bitree::strip(lattice, &kept)), triangles, "n {n}");
             }
         }
     }
