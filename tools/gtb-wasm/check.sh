@@ -7,6 +7,10 @@
 # The compiler: the toolchain in use, to which rustup adds the target; else Debian's packages (rustc-web, rust-web-src and what they
 # stand on: about 140 MB), fetched and unpacked under the build folder, nothing installed.
 set -euo pipefail
+# Files are named from where the caller stands.
+files=()
+for file in "$@"; do files+=("$(realpath -- "$file")"); done
+set -- "${files[@]+"${files[@]}"}"
 cd "$(dirname "$0")"
 target=wasm32-unknown-unknown
 build=${CARGO_TARGET_DIR:-$PWD/../../target/gtb-wasm}
