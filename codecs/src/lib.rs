@@ -7,13 +7,17 @@
 //! - [`lattice`]: the square lattice of 2^n + 1 posts a side, its passes from coarse to fine
 //! - [`lifting`]: wavelets by lifting, on posts and on cells
 //! - [`gtb`]: the geometric-textured bitree
+//! - [`fractal`]: fractal tiles
+//! - [`work`]: whose threads do the work
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod error;
+pub mod fractal;
 pub mod gtb;
 pub mod lattice;
 pub mod lifting;
 pub mod range;
+pub mod work;
 
 pub use error::{Error, Result};

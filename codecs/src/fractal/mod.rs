@@ -1,0 +1,15 @@
+//! Fractal tiles: a grid as contractive maps from the grid to itself (Multiresolution Modeling Using Fractal Image Compression
+//! Techniques; what holds: the specification's section 1 to 6).
+//!
+//! A **range** is a cell of a quadtree (in space: an octree), a **domain** a cell of twice its side anywhere at multiples of the jump. A
+//! **leaf** is a range with its map: `R = m + s (iso(D) - mean(D))`.
+//!
+//! - [`grid`]: samples in the plane or in space
+//! - [`isometry`]: the 8 symmetries of the square, the 48 of the cube
+//! - [`domains`]: where domains lie
+//! - [`matching`]: the search for the domain that is most like a range
+pub mod domains;
+pub mod grid;
+pub mod isometry;
+pub mod matching;
+mod scale;
