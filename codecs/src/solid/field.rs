@@ -2,8 +2,9 @@
 
 use super::contour::Samples;
 use super::distance::Distance;
+use super::mending::mended;
 use super::mesh::Mesh;
-use super::report::{Report, mended};
+use super::report::Report;
 use super::settle::settle;
 use super::vector::{Vector, add};
 use super::window::Window;
@@ -33,7 +34,7 @@ impl Field {
     /// The field of a mesh. It is mended first ([`mended`]); cells of an octree in which no distance can be less than 16 voxels get their one value at
     /// once, the others are divided. At most 1/2 unit from the true distance to the mesh.
     ///
-    /// Of an open mesh the sign near a hole is by the plane of the triangles round it. Voxels beyond the mesh's box are outside
+    /// Holes are closed: the distance is to what closes them, too. Voxels beyond the mesh's box are outside
     /// whatever the triangles say; far from the surface the sign is that of most of the voxels that are connected. Results do not depend on the
     /// workers.
     ///

@@ -2,7 +2,8 @@
 //! to 3D image" and "From 3D image to polygonal mesh").
 //!
 //! - [`mesh`]: triangles that share positions, and their limits
-//! - [`report`]: what is wrong with a mesh, and its mending
+//! - [`report`]: what is wrong with a mesh
+//! - [`mending`]: a mesh made fit to be asked what is inside
 //! - [`window`]: where the samples of a field lie
 //! - [`field`]: the distance field of a mesh
 //! - [`contour`]: marching cubes
@@ -25,11 +26,15 @@ mod cases;
 pub mod contour;
 mod distance;
 pub mod field;
+mod holes;
+pub mod mending;
 pub mod mesh;
 mod nearest;
 pub mod report;
 pub mod separation;
+mod sets;
 mod settle;
+mod turning;
 mod vector;
 pub mod window;
 

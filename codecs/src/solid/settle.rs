@@ -1,7 +1,8 @@
 //! Signs far from the surface, by what is connected.
 
 use super::field::{FULL, Field, UNITS};
-use super::report::{Report, join, root};
+use super::report::Report;
+use super::sets::{join, root};
 use super::vector::Vector;
 
 /// A row's saturated voxels without a gap.

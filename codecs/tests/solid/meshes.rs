@@ -2,8 +2,8 @@
 
 use super::bodies::{both, cuboid, sphere};
 use terraquilt_codecs::Error;
+use terraquilt_codecs::solid::mending::mended;
 use terraquilt_codecs::solid::mesh::COORDINATE_MAX;
-use terraquilt_codecs::solid::report::mended;
 use terraquilt_codecs::solid::{Border, Field, MARGIN, Mesh, Report, Window, surface};
 use terraquilt_codecs::work::Alone;
 
@@ -115,9 +115,9 @@ fn meshes_that_make_no_sense_are_refused() {
     assert!(said(&mesh).contains("triangle 4") && said(&mesh).contains("8 positions"));
     // No extent: a point, a line.
     let point = Mesh { positions: vec![[1.0; 3]; 8], ..sound.clone() };
-    assert!(said(&point).contains("none of its 12 triangles has an area"));
+    assert!(said(&point).contains("of its 12 triangles 12 have no area"));
     let line = Mesh { positions: (0..8).map(|k| [f64::from(k), 0.0, 0.0]).collect(), ..sound.clone() };
-    assert!(said(&line).contains("none of its 12 triangles has an area"));
+    assert!(said(&line).contains("of its 12 triangles 12 have no area"));
     let bounds = point.bounds().unwrap();
     assert!(Window::around(bounds, [32; 3], MARGIN).unwrap_err().to_string().contains("extent"));
     // A speck far away leaves no digits for its voxels.
