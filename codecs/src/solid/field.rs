@@ -5,8 +5,8 @@ use super::distance::Distance;
 use super::mending::mended;
 use super::mesh::Mesh;
 use super::report::Report;
-use super::settle::settle;
 use super::vector::{Vector, add};
+use super::winding;
 use super::window::Window;
 use crate::work::{self, Workers};
 use crate::{Error, Result};
@@ -34,9 +34,9 @@ impl Field {
     /// The field of a mesh. It is mended first ([`mended`]); cells of an octree in which no distance can be less than 16 voxels get their one value at
     /// once, the others are divided. At most 1/2 unit from the true distance to the mesh.
     ///
-    /// Holes are closed: the distance is to what closes them, too. Voxels beyond the mesh's box are outside
-    /// whatever the triangles say; far from the surface the sign is that of most of the voxels that are connected. Results do not depend on the
-    /// workers.
+    /// The sign is that of the angle-weighted normal of the nearest face, edge or corner. It is certain for closed meshes that do not cross
+    /// themselves. Of others (edges of more than two triangles, holes, which are closed first, or signs that change without a surface) every voxel takes the sign
+    /// that the triangles round it give, see [`Report::resigned`]. Results do not depend on the workers.
     ///
     /// # Errors
     /// As [`Mesh::check`] and [`Window::check`]; [`Error::Invalid`] for a mesh of no area; [`Error::Stopped`].
@@ -65,9 +65,57 @@ impl Field {
                 field.put(corner(k), &values.into_inner().ok_or(Error::Stopped)?);
             }
         }
-        let bounds = scaled.bounds().unwrap_or_default();
-        settle(&mut field, bounds, &mut report);
+        report.torn = field.torn();
+        if !report.is_closed() || report.torn > 0 {
+            report.resigned = field.resign(&scaled, workers)?;
+            report.torn = field.torn();
+        }
         Ok((field, report))
+    }
+
+    /// Gives each voxel the sign that the triangles round it say; returns how many changed.
+    fn resign(&mut self, mesh: &Mesh, workers: &dyn Workers) -> Result<usize> {
+        let [cols, rows, layers] = self.window.size;
+        let mut changed = 0;
+        for first in (0..layers).step_by(CELL) {
+            work::check(workers, 1.0)?;
+            let count = CELL.min(layers - first);
+            let slab = [first as f64, (first + count) as f64];
+            let near = |t: &u32| {
+                let z = mesh.corners(*t as usize).map(|p| p[2]);
+                z.iter().any(|z| *z <= slab[1]) && z.iter().any(|z| *z >= slab[0])
+            };
+            let some: Vec<u32> = (0..mesh.triangles.len() as u32).filter(near).collect();
+            let done: Vec<OnceLock<Vec<bool>>> = vec![OnceLock::new(); count];
+            workers.run(count, &|k| {
+                let _ = done[k].set(winding::inside(mesh, &some, self.window.size, first + k));
+            });
+            for (k, inside) in done.into_iter().enumerate() {
+                let inside = inside.into_inner().ok_or(Error::Stopped)?;
+                let values = &mut self.values[(first + k) * cols * rows..][..cols * rows];
+                for (v, inside) in values.iter_mut().zip(inside) {
+                    if *v != 0 && (*v > 0) != inside {
+                        *v = -*v;
+                        changed += 1;
+                    }
+                }
+            }
+        }
+        Ok(changed)
+    }
+
+    /// Pairs of neighbours whose values differ by more than one voxel and the rounding of both.
+    fn torn(&self) -> usize {
+        let size = self.window.size;
+        let most = UNITS as i32 + 1;
+        let mut count = 0;
+        for (axis, step) in [(0, 1), (1, size[0]), (2, size[0] * size[1])] {
+            let pairs = self.values.iter().zip(self.values.iter().skip(step)).enumerate();
+            let inner = |k: usize| k / step % size[axis] + 1 < size[axis];
+            let differ = |a: i8, b: i8| (i32::from(a) - i32::from(b)).abs() > most;
+            count += pairs.filter(|(k, (a, b))| differ(**a, **b) && inner(*k)).count();
+        }
+        count
     }
 
     /// The field as samples.

@@ -33,9 +33,9 @@ mod nearest;
 pub mod report;
 pub mod separation;
 mod sets;
-mod settle;
 mod turning;
 mod vector;
+mod winding;
 pub mod window;
 
 pub use contour::{Border, Samples, surface};

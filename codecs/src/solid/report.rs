@@ -27,7 +27,7 @@ pub struct Report {
     pub one_sided_edges: usize,
     /// Whether the mesh was inside out, and turned as a whole.
     pub inside_out: bool,
-    /// Voxels whose sign was set by that of their neighbours, or by lying beyond the mesh, against the nearest triangle's.
+    /// Voxels that are inside or outside by how often the triangles go round them, and not as their nearest triangle says.
     pub resigned: usize,
     /// Pairs of neighbouring voxels whose distances differ by more than their own: the sign changes there without a surface.
     pub torn: usize,

@@ -1,6 +1,7 @@
 //! The Stanford models, where they are: the field of each, and the way back.
 
 use crate::support::shared;
+use terraquilt_codecs::solid::mending::mended;
 use terraquilt_codecs::solid::{Border, Field, MARGIN, Mesh, Window, separation, surface};
 use terraquilt_codecs::work::Alone;
 
@@ -39,16 +40,21 @@ fn there_and_back(file: &str, n: usize) {
     println!("marching cubes in {:.2?}: {} triangles", clock.elapsed(), again.triangles.len());
     assert_eq!(super::bodies::bad_edges(&again), 0);
     let clock = std::time::Instant::now();
-    let off = separation(&mesh, &again, window.voxel / 2.0, &Alone).unwrap();
-    println!(
-        "separation in {:.2?}, voxels: there {:.3} rms {:.3}, back {:.3} rms {:.3}",
-        clock.elapsed(),
-        off.there.max / window.voxel,
-        off.there.rms / window.voxel,
-        off.back.max / window.voxel,
-        off.back.rms / window.voxel
-    );
-    println!("{:?} {:?}", window.to_voxels(off.there.place), window.to_voxels(off.back.place));
+    let (sound, _) = mended(&mesh).unwrap();
+    for (what, mesh) in [("as it came", &mesh), ("mended", &sound)] {
+        let off = separation(mesh, &again, window.voxel / 2.0, &Alone).unwrap();
+        let [there, back] = [off.there, off.back].map(|d| {
+            let voxels = [d.max, d.rms].map(|v| v / window.voxel);
+            println!(
+                "{what}: {:.3} voxels, rms {:.3}, at {:.1?}",
+                voxels[0],
+                voxels[1],
+                window.to_voxels(d.place)
+            );
+            voxels[0]
+        });
+        let _ = (there, back);
+    }
 }
 
 #[test]
