@@ -94,7 +94,7 @@ fn main() {
                     least = least.min(begun.elapsed().as_secs_f64());
                 }
                 total += least;
-                let pairs: usize = ranges.iter().map(|r| level.pairs(*r, search)).sum();
+                let pairs = level.pairs(&ranges, search) as f64;
                 let mut block = vec![0.0; side * side];
                 let mut flat = |range: [usize; 2]| {
                     grid.block(range, side, &mut block);
