@@ -9,6 +9,7 @@
 //! - [`domains`]: where domains lie
 //! - [`matching`]: the search for the domain that is most like a range
 //! - [`Ifs`]: leaves; [`iterate`]: from them to samples, [`walk`]: the value at any point
+pub mod detail;
 pub mod domains;
 pub mod grid;
 mod ifs;
