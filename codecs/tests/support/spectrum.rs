@@ -14,15 +14,19 @@ pub fn octaves(values: &[f64], cols: usize, octaves: usize) -> Vec<f64> {
         .enumerate()
         .map(|(k, v)| [v * window(k % cols, cols) * window(k / cols, rows), 0.0])
         .collect();
-    let across: Vec<[f64; 2]> = real.chunks_exact(cols).flat_map(transformed).collect();
+    // Of real numbers the second half of the frequencies mirrors the first.
+    let wide = cols / 2 + 1;
+    let across: Vec<[f64; 2]> = real.chunks_exact(cols).flat_map(|row| transformed(row, wide)).collect();
     let mut power = vec![0.0; octaves];
     let frequency = |k: usize, n: usize| k.min(n - k) as f64 / n as f64;
-    for x in 0..cols {
-        let column: Vec<[f64; 2]> = across.iter().skip(x).step_by(cols).copied().collect();
-        for (y, [a, b]) in transformed(&column).into_iter().enumerate() {
+    for x in 0..wide {
+        let twice = if x == 0 || 2 * x == cols { 1.0 } else { 2.0 };
+        let column: Vec<[f64; 2]> = across.iter().skip(x).step_by(wide).copied().collect();
+        for (y, [a, b]) in transformed(&column, rows).into_iter().enumerate() {
             let f = frequency(x, cols).hypot(frequency(y, rows));
-            if let Some(octave) = (0..octaves).find(|o| f < 0.5 / 2_f64.powi(*o as i32) && f >= 0.25 / 2_f64.powi(*o as i32)) {
-                power[octave] += a * a + b * b;
+            let within = |o: &usize| (0.25..0.5).contains(&(f * 2_f64.powi(*o as i32)));
+            if let Some(octave) = (0..octaves).find(within) {
+                power[octave] += twice * (a * a + b * b);
             }
         }
     }
@@ -46,10 +50,16 @@ fn without_plane(values: &[f64], cols: usize, rows: usize) -> Vec<f64> {
     values.iter().enumerate().map(|(k, v)| v - plane(k)).collect()
 }
 
-fn transformed(line: &[[f64; 2]]) -> Vec<[f64; 2]> {
+/// The first `count` frequencies.
+fn transformed(line: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
     let n = line.len();
-    let turns: Vec<[f64; 2]> = (0..n).map(|k| (-TAU * k as f64 / n as f64).sin_cos().into()).map(|[s, c]: [f64; 2]| [c, s]).collect();
-    (0..n)
+    let turns: Vec<[f64; 2]> = (0..n)
+        .map(|k| {
+            let (sin, cos) = (-TAU * k as f64 / n as f64).sin_cos();
+            [cos, sin]
+        })
+        .collect();
+    (0..count)
         .map(|k| {
             let (mut re, mut im, mut at) = (0.0, 0.0, 0);
             for [a, b] in line {

@@ -25,6 +25,7 @@ mod doubled;
 pub use doubled::doubled;
 
 use super::grid::{Grid, points, strides};
+use super::tile::{Tile, cropped};
 use super::walk::Walk;
 use crate::{Error, Result};
 
@@ -58,10 +59,14 @@ pub struct Detailed {
 /// Time: about 60 operations a sample of the result. Memory: 4 grids of the result's size.
 ///
 /// ```
-/// # use terraquilt_codecs::fractal::{detail, grid::Grid, walk::Walk};
-/// # fn shown(walk: &Walk<2>, tile: &Grid<2>) -> terraquilt_codecs::Result<()> {
-/// let fine = detail::detailed(walk, tile, 2)?;
-/// assert_eq!(fine.grid.size, tile.size.map(|n| 4 * n));
+/// # use terraquilt_codecs::fractal::{Options, Tile, encode_heights};
+/// # use terraquilt_codecs::{heights::{Heights, Place}, work::Alone};
+/// # fn main() -> terraquilt_codecs::Result<()> {
+/// let z = (0..1024).map(|k| 3 * (k / 32) + k % 32 * (k % 7)).collect();
+/// let options = Options { bound: Some(0), ..Options::default() };
+/// let file = encode_heights(&Heights::new(32, 32, z), &Place::default(), &[], &options, &Alone)?;
+/// let fine = Tile::read(&file.bytes)?.detailed(2)?;
+/// assert_eq!(fine.grid.size, [128, 128]);
 /// # Ok(())
 /// # }
 /// ```
@@ -77,7 +82,7 @@ pub fn detailed(walk: &Walk<2>, tile: &Grid<2>, octaves: u32) -> Result<Detailed
         wanted *= ratio;
         carried = applied(walk, &carried, 1 << octave);
         let size = out.grid.size.map(|n| 2 * n);
-        let detail = novelty(&smoothed(&cropped(&carried, size)));
+        let detail = novelty(&smoothed(&cropped(carried.clone(), size)));
         let power = mean_square(&detail);
         let gain = if power > 0.0 { (wanted / power).sqrt().min(GAIN_MAX) } else { 0.0 };
         let mut grid = doubled(&out.grid);
@@ -89,6 +94,20 @@ pub fn detailed(walk: &Walk<2>, tile: &Grid<2>, octaves: u32) -> Result<Detailed
         out.powers.push(gain * gain * power);
     }
     Ok(out)
+}
+
+impl Tile {
+    /// The heights with `octaves` octaves of synthetic detail, in units: see [`detailed`]. Of a bounded tile the heights are those within the
+    /// bound. Voids come filled, as their maps fill them.
+    pub fn detailed(&self, octaves: u32) -> Result<Detailed> {
+        let heights = if self.header.bound.is_some() {
+            let h = self.heights()?;
+            Grid { size: [h.cols, h.rows], values: h.z.iter().map(|z| f64::from(*z)).collect() }
+        } else {
+            self.plane(0)?
+        };
+        detailed(&self.walk(0)?, &heights, octaves)
+    }
 }
 
 fn check(walk: &Walk<2>, tile: &Grid<2>, octaves: u32) -> Result<()> {
@@ -147,12 +166,6 @@ fn in_whole_ranges(grid: &Grid<2>, size: [usize; 2]) -> Grid<2> {
         to[..grid.size[0]].copy_from_slice(from);
     }
     out
-}
-
-/// The first columns and rows.
-fn cropped(grid: &Grid<2>, size: [usize; 2]) -> Grid<2> {
-    let rows = grid.values.chunks_exact(grid.size[0]).take(size[1]);
-    Grid { size, values: rows.flat_map(|row| &row[..size[0]]).copied().collect() }
 }
 
 /// The linear part of all maps: from the octave at `zoom` to that at twice the zoom. Flat ranges get none.
