@@ -3,6 +3,7 @@
 mod adaptive;
 mod bitree;
 mod damage;
+mod detail;
 mod frame;
 mod given;
 mod golden;
