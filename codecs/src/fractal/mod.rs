@@ -8,8 +8,18 @@
 //! - [`isometry`]: the 8 symmetries of the square, the 48 of the cube
 //! - [`domains`]: where domains lie
 //! - [`matching`]: the search for the domain that is most like a range
+//! - [`Ifs`]: leaves; [`iterate`]: from them to samples, [`walk`]: the value at any point
 pub mod domains;
 pub mod grid;
+mod ifs;
 pub mod isometry;
+pub mod iterate;
 pub mod matching;
+mod number;
 mod scale;
+mod tree;
+pub mod walk;
+
+pub use ifs::{Ifs, Leaf, SAMPLES_MAX, Shape};
+pub use iterate::{Iterated, Stop};
+pub use walk::Walk;
