@@ -1,8 +1,9 @@
 //! A tile in the GPU's memory, and its windows block by block.
 
-use crate::tile::Words;
-use crate::{Gpu, Result, Tile, Window};
+use crate::words::Words;
+use crate::{Gpu, Result, Window};
 use bytemuck::{bytes_of, cast_slice};
+use terraquilt_codecs::fractal::Walk;
 use wgpu::BufferUsages;
 
 /// Side of a block, in samples. Its 16 MiB are within what every adapter offers, as are its 256 x 256 workgroups.
@@ -14,7 +15,7 @@ const GROUP: u32 = 8;
 pub struct Uploaded<'a> {
     gpu: &'a Gpu,
     tile: wgpu::BindGroup,
-    size: [u32; 2],
+    size: [usize; 2],
     low: f64,
     span: f64,
 }
@@ -33,19 +34,19 @@ impl Gpu {
     /// Copies a tile to the GPU: 32 bytes per leaf, 4 per square of the index and per sample.
     ///
     /// # Errors
-    /// As [`Tile::check`]; Limit for a tile larger than a buffer of this adapter; [`Error::Failed`](crate::Error::Failed) if
+    /// Limit for a tile larger than a buffer of this adapter; [`Error::Failed`](crate::Error::Failed) if
     /// memory is short.
-    pub fn upload(&self, tile: &Tile) -> Result<Uploaded<'_>> {
-        let Words { shape, maps, seed, low, span } = tile.words()?;
+    pub fn upload(&self, tile: &Walk<2>) -> Result<Uploaded<'_>> {
+        let Words { shape, leaves, seed, low, span } = Words::of(tile)?;
         let buffers = [
             self.buffer("shape", bytes_of(&shape), BufferUsages::UNIFORM)?,
-            self.buffer("leaves", cast_slice(&maps), BufferUsages::STORAGE)?,
-            self.buffer("index", cast_slice(&tile.index), BufferUsages::STORAGE)?,
+            self.buffer("leaves", cast_slice(&leaves), BufferUsages::STORAGE)?,
+            self.buffer("index", cast_slice(tile.index()), BufferUsages::STORAGE)?,
             self.buffer("samples", cast_slice(&seed), BufferUsages::STORAGE)?,
         ];
         let group = bound(self, "tile", self.tile_layout(), &buffers.each_ref());
         self.check()?;
-        Ok(Uploaded { gpu: self, tile: group, size: tile.size, low, span })
+        Ok(Uploaded { gpu: self, tile: group, size: tile.size(), low, span })
     }
 
     /// The values of a window, row by row: within 1e-4 of the tile's height range of those on the CPU.
@@ -54,7 +55,7 @@ impl Gpu {
     ///
     /// # Errors
     /// As [`upload`](Gpu::upload) and [`Uploaded::decode`].
-    pub fn decode(&self, tile: &Tile, window: &Window) -> Result<Vec<f64>> {
+    pub fn decode(&self, tile: &Walk<2>, window: &Window) -> Result<Vec<f64>> {
         self.upload(tile)?.decode(window)
     }
 }

@@ -4,6 +4,8 @@ struct View {
     // The part of the tile that `cover` draws, in cells: its corner, its extent.
     corner: vec2<f32>,
     extent: vec2<f32>,
+    // Columns and rows of the tile; what lies beyond them is drawn as the border.
+    size: vec2<f32>,
     // No fragment takes more steps.
     depth_max: u32,
 }
@@ -26,8 +28,9 @@ fn cover(@builtin(vertex_index) corner: u32) -> Place {
     return out;
 }
 
-fn fixed(cells: f32) -> vec2<u32> {
-    let p = max(cells, 0.0);
+fn fixed(cells: f32, size: f32) -> vec2<u32> {
+    // The greatest number below `size`, up to 16384 cells.
+    let p = clamp(cells, 0.0, size - 0.001);
     return vec2<u32>(u32(p), u32(fract(p) * 4294967296.0));
 }
 
@@ -43,6 +46,6 @@ fn depth_wanted(cells: vec2<f32>) -> u32 {
 @fragment
 fn shade(in: Place) -> @location(0) vec4<f32> {
     let depth = depth_wanted(in.cells);
-    let grey = walk(fixed(in.cells.x), fixed(in.cells.y), depth);
+    let grey = walk(fixed(in.cells.x, view.size.x), fixed(in.cells.y, view.size.y), depth);
     return vec4<f32>(grey, grey, grey, 1.0);
 }

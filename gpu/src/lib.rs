@@ -4,7 +4,6 @@
 //! Values agree with the CPU's to 1e-4 of the tile's height range; they are not the same bits, nor are they on two GPUs.
 //!
 //! - [`Gpu`]: an adapter, opened; [`Gpu::decode`] gives the values of a window
-//! - [`Tile`], [`Leaf`]: what goes up
 //! - [`Window`]: which samples are wanted
 //! - [`Uploaded`]: a tile in the GPU's memory, for several windows or for drawing
 //! - [`shader`]: the text of both shaders
@@ -15,12 +14,11 @@ mod decode;
 mod device;
 mod error;
 pub mod shader;
-mod tile;
 mod window;
+mod words;
 
 pub use decode::Uploaded;
 pub use device::Gpu;
 pub use error::{Error, Result};
-pub use tile::{Leaf, SIDE_MAX, Tile};
 pub use wgpu;
-pub use window::{DEPTH_MAX, SAMPLES_MAX, Window};
+pub use window::{SAMPLES_MAX, Window};

@@ -4,7 +4,7 @@
 // are then exact: no zoom is too deep for the steps to find the leaves that exact arithmetic finds.
 
 struct Shape {
-    // Columns and rows of the zoom-1 grid.
+    // Columns and rows of the zoom-1 grid, in whole ranges of the largest side.
     size: vec2<u32>,
     // Entries in a row of the index.
     across: u32,
@@ -32,19 +32,20 @@ fn mirrored(p: vec2<u32>, side: u32) -> vec2<u32> {
     return vec2<u32>(side - p.x - select(0u, 1u, p.y != 0u), 0u - p.y);
 }
 
-// corner + 2 p
-fn doubled(p: vec2<u32>, corner: u32) -> vec2<u32> {
-    return vec2<u32>(corner + ((p.x << 1u) | (p.y >> 31u)), p.y << 1u);
+// corner + 2 p, in a grid of `size` cells. A mirror takes the open end of a range to the closed one: there it is just inside.
+fn doubled(p: vec2<u32>, corner: u32, size: u32) -> vec2<u32> {
+    let cell = corner + ((p.x << 1u) | (p.y >> 31u));
+    return select(vec2<u32>(size - 1u, 0xfffffffcu), vec2<u32>(cell, p.y << 1u), cell < size);
 }
 
-// The value at a place after `depth` steps, in shares of the height range.
+// The value at a place in the tile after `depth` steps, in shares of the height range.
 fn walk(x_start: vec2<u32>, y_start: vec2<u32>, depth: u32) -> f32 {
     var x = x_start;
     var y = y_start;
     var sum = 0.0;
     var factor = 1.0;
     for (var step = 0u; step < depth; step++) {
-        let cell = min(vec2<u32>(x.x, y.x), shape.size - 1u) >> vec2<u32>(shape.shift);
+        let cell = vec2<u32>(x.x, y.x) >> vec2<u32>(shape.shift);
         let leaf = leaves[index[cell.y * shape.across + cell.x]];
         sum += factor * leaf.offset;
         factor *= leaf.scale;
@@ -65,9 +66,8 @@ fn walk(x_start: vec2<u32>, y_start: vec2<u32>, depth: u32) -> f32 {
         if (leaf.turn & 4u) != 0u {
             v = mirrored(v, leaf.side);
         }
-        x = doubled(u, leaf.domain.x);
-        y = doubled(v, leaf.domain.y);
+        x = doubled(u, leaf.domain.x, shape.size.x);
+        y = doubled(v, leaf.domain.y, shape.size.y);
     }
-    let cell = min(vec2<u32>(x.x, y.x), shape.size - 1u);
-    return sum + factor * seed[cell.y * shape.size.x + cell.x];
+    return sum + factor * seed[y.x * shape.size.x + x.x];
 }

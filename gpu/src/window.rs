@@ -1,9 +1,7 @@
 //! Which samples are wanted.
 
+use terraquilt_codecs::fractal::walk::{DEPTH_MAX, Walk};
 use terraquilt_codecs::{Error, Result};
-
-/// The most doublings: the place in the zoom-1 grid is then still known to 1/256 of a cell.
-pub const DEPTH_MAX: u32 = 24;
 
 /// The most samples of one window: 2 GiB of values.
 pub const SAMPLES_MAX: u64 = 1 << 28;
@@ -33,21 +31,24 @@ impl Window {
     /// A whole tile of `size` (columns, rows) at a zoom; a last sample that would begin in the tile but not end there is left out.
     ///
     /// # Errors
-    /// Invalid for a zoom that is no positive number, or so large that it needs more than [`DEPTH_MAX`] steps; Limit for more than
-    /// [`SAMPLES_MAX`] samples.
-    pub fn whole(size: [u32; 2], zoom: f64) -> Result<Window> {
-        let reason = format!("zoom {zoom}; it is above 0 and at most 2^{DEPTH_MAX}");
-        let depth = (0..=DEPTH_MAX).find(|d| f64::from(1_u32 << d) >= zoom && zoom > 0.0);
-        let depth = depth.ok_or_else(|| Error::invalid("window", reason))?;
+    /// Invalid for a zoom below 1 or above 2 to the power of [`DEPTH_MAX`]; Limit for more than [`SAMPLES_MAX`] samples.
+    pub fn whole(size: [usize; 2], zoom: f64) -> Result<Window> {
+        if !(zoom >= 1.0 && zoom <= f64::from(1 << DEPTH_MAX)) {
+            let reason = format!(
+                "zoom {zoom}; from 1 to 2^{DEPTH_MAX} (below 1 samples are means: decode on the CPU)"
+            );
+            return Err(Error::invalid("window", reason));
+        }
+        let step = 1.0 / zoom;
         // A hundredth of a sample is rounding.
-        let sides = size.map(|n| (f64::from(n) * zoom + 0.01).floor());
+        let sides = size.map(|n| (n as f64 * zoom + 0.01).floor());
         let [cols, rows] = sides.map(|n| n as u32);
-        let out = Window { x0: 0.0, y0: 0.0, step: 1.0 / zoom, cols, rows, depth };
+        let out = Window { x0: 0.0, y0: 0.0, step, cols, rows, depth: Walk::<2>::depth(1.0, step) };
         out.check(size)?;
         Ok(out)
     }
 
-    /// Where a column's samples lie, rounded to 2^-32 of a cell: the value asked of GPU and CPU alike.
+    /// Where the samples of a column lie, rounded to 2^-32 of a cell: value (c, r) is [`Walk::value`] at `[x(c), y(r)]`.
     pub fn x(&self, col: u32) -> f64 {
         centre(self.x0, self.step, col)
     }
@@ -78,7 +79,7 @@ impl Window {
     }
 
     /// Whether every sample lies in a tile of `size`, and the limits hold.
-    pub(crate) fn check(&self, size: [u32; 2]) -> Result<()> {
+    pub(crate) fn check(&self, size: [usize; 2]) -> Result<()> {
         let samples = u64::from(self.cols) * u64::from(self.rows);
         if samples > SAMPLES_MAX {
             return Err(Error::Limit { what: "samples of a window", limit: SAMPLES_MAX, wanted: samples });
@@ -90,8 +91,8 @@ impl Window {
         let ends = [(self.x0, self.cols, size[0], "columns"), (self.y0, self.rows, size[1], "rows")];
         for (from, count, size, axis) in ends {
             let last = centre(from, self.step, count.saturating_sub(1));
-            let inside = self.step > 0.0 && centre(from, self.step, 0) >= 0.0 && last < f64::from(size);
-            if !inside || !from.is_finite() {
+            let inside = self.step > 0.0 && centre(from, self.step, 0) >= 0.0 && last < size as f64;
+            if !inside {
                 let reason = format!(
                     "{count} {axis} from {from} with step {}; they lie between 0 and {size}, the step is above 0",
                     self.step
