@@ -17,6 +17,9 @@ pub const VOLUME_SIDE_MAX: usize = 512;
 /// Most samples of a plane or of a volume.
 pub const SAMPLES_MAX: u64 = 1 << 27;
 
+/// Samples beyond a quarter of a tile's own that whole ranges may add.
+const PADDING: u64 = 4096;
+
 /// What the numbers of leaves mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape<const D: usize> {
@@ -67,7 +70,17 @@ impl<const D: usize> Shape<D> {
                 ),
             ));
         }
-        if self.jump < 2 || self.jump % 2 != 0 || self.jump > JUMP_MAX {
+        let padded = self.padded().iter().fold(1, |n: u64, s| n.saturating_mul(*s as u64));
+        if padded > self.samples() + self.samples() / 4 + PADDING {
+            return Err(Error::invalid(
+                "ranges",
+                format!(
+                    "sides of 2^{max} make {padded} samples of the tile's {}; take smaller ranges for such a tile",
+                    self.samples()
+                ),
+            ));
+        }
+        if self.jump < 2 || !self.jump.is_multiple_of(2) || self.jump > JUMP_MAX {
             return Err(Error::invalid("jump", format!("{}; an even number up to {JUMP_MAX}", self.jump)));
         }
         if self.near > NEAR_MAX {
