@@ -1,5 +1,6 @@
-use crate::support::{Random, gpu, range, tile};
-use terraquilt_codecs::fractal::Walk;
+use crate::support::{Random, gpu, range, tile, tile_above};
+use terraquilt_codecs::fractal::{Options, Search, Tile, Walk, encode_picture};
+use terraquilt_codecs::work::Alone;
 use terraquilt_gpu::Window;
 
 /// The greatest distance between the GPU's values of a window and the CPU's, in shares of the height range.
@@ -84,10 +85,32 @@ fn zoom_by_passes_is_the_walk() {
     }
 }
 
+/// Float32 alone would leave half a unit of 250 here.
+#[test]
+fn heights_far_above_their_range() {
+    agrees(&tile_above(1e7, 16, [64, 64], 1), Window::whole([64, 64], 8.0).unwrap());
+    agrees(&tile_above(-1e12, 17, [64, 64], 1), Window::whole([64, 64], 8.0).unwrap());
+}
+
+/// A picture as it comes out of its file: plane by plane.
+#[test]
+fn colours_plane_by_plane() {
+    let samples = include_bytes!("../../codecs/tests/data/landsat_sfbay_128.rgb");
+    let options = Options { search: Search::Near(4), ..Options::default() };
+    let encoded = encode_picture([128, 128], 3, samples, "Landsat", &[], &options, &Alone).unwrap();
+    let tile = Tile::read(&encoded.bytes).unwrap();
+    for k in 0..3 {
+        let walk = tile.walk(k).unwrap();
+        assert_eq!(walk.size(), if k == 0 { [128, 128] } else { [64, 64] });
+        assert!(walk.steps().iter().any(|s| s.scale != 0.0));
+        agrees(&walk, Window::whole(walk.size(), 4.0).unwrap());
+    }
+}
+
 /// More than one block along each axis, the last ones smaller.
 #[test]
 fn windows_of_several_blocks() {
     let walk = tile(15, [40, 40], 1);
-    agrees(&walk, Window { x0: 0.5, y0: 0.25, step: 39.0 / 4100.0, cols: 4100, rows: 2060, depth: 7 });
+    agrees(&walk, Window { x0: 0.5, y0: 0.25, step: 39.0 / 2060.0, cols: 2060, rows: 2052, depth: 7 });
     agrees(&walk, Window { x0: 0.5, y0: 0.25, step: 39.0 / 4097.0, cols: 4097, rows: 1, depth: 7 });
 }

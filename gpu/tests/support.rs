@@ -39,16 +39,13 @@ impl Random {
 
 /// A tile with ranges of all sides, all isometries and all scales, samples round 4000 units.
 pub fn tile(seed: u64, size: [usize; 2], range_min_log: u32) -> Walk<2> {
-    let shape = Shape {
-        size,
-        range_max_log: 5,
-        range_min_log,
-        jump: 4,
-        isometries: 8,
-        near: 0,
-        step: 0.25,
-        origin: 4000.0,
-    };
+    tile_above(4000.0, seed, size, range_min_log)
+}
+
+/// As [`tile`], at another height.
+pub fn tile_above(origin: f64, seed: u64, size: [usize; 2], range_min_log: u32) -> Walk<2> {
+    let shape =
+        Shape { size, range_max_log: 5, range_min_log, jump: 4, isometries: 8, near: 0, step: 0.25, origin };
     shape.check().unwrap();
     let mut r = Random::new(seed);
     let mut ifs = Ifs { shape, leaves: vec![], units: vec![], unit_means: vec![], complete: true };
