@@ -10,6 +10,7 @@ use terraquilt_codecs::fractal::domains::Domains;
 use terraquilt_codecs::fractal::grid::{Grid, points};
 use terraquilt_codecs::fractal::isometry::group;
 use terraquilt_codecs::fractal::matching::{Level, Search};
+use terraquilt_codecs::fractal::scale::Scales;
 use terraquilt_codecs::work::Workers;
 
 /// Runs of which the quickest counts.
@@ -84,7 +85,13 @@ fn main() {
             let mut total = 0.0;
             for side in [2, 4, 8, 16, 32] {
                 let domains = Domains::new(grid.size, side, 4);
-                let level = Level { grid: &grid, half: &half, domains, isometries: &isometries };
+                let level = Level {
+                    grid: &grid,
+                    half: &half,
+                    domains,
+                    isometries: &isometries,
+                    scales: Scales::of_bits(5),
+                };
                 let ranges: Vec<[usize; 2]> =
                     points(grid.size.map(|n| n / side)).map(|p| p.map(|v| v * side)).collect();
                 let (mut least, mut found) = (f64::MAX, Vec::new());

@@ -28,6 +28,7 @@ mod tests;
 use super::domains::Domains;
 use super::grid::Grid;
 use super::isometry::Isometry;
+use super::scale::Scales;
 use crate::work::{self, Workers};
 use crate::{Error, Result};
 use frame::Frame;
@@ -68,6 +69,8 @@ pub struct Level<'a, const D: usize> {
     pub domains: Domains<D>,
     /// The orientations that they are tried in.
     pub isometries: &'a [Isometry<D>],
+    /// The levels of s.
+    pub scales: Scales,
 }
 
 /// Ranges that are one part of the work where little is to be done with each.
