@@ -156,17 +156,19 @@ fn products<const P: usize, const Q: usize>(
     at: usize,
 ) -> [[[f32; LANES]; P]; Q] {
     let mut sums = [[[0.0; LANES]; P]; Q];
-    let mut from = at;
-    for k in 0..poses[0].len() / P {
+    let poses = poses.map(|p| p.as_chunks::<P>().0);
+    let count = poses[0].len();
+    let poses = poses.map(|p| &p[..count]);
+    let mut rows = strip.samples.chunks_exact(strip.stride);
+    for k in 0..count {
         for p in 0..P {
-            let domains = &strip.samples[from..][..LANES];
+            let Some(row) = rows.next() else { return sums };
+            let domains = &row[at..at + LANES];
             for q in 0..Q {
-                let range = poses[q][k * P + p];
                 for l in 0..LANES {
-                    sums[q][p][l] += range * domains[l];
+                    sums[q][p][l] += poses[q][k][p] * domains[l];
                 }
             }
-            from += strip.stride;
         }
     }
     sums
