@@ -1,6 +1,7 @@
 //! Each range meets all domains, or all of its classes.
 
 use super::frame::Frame;
+use super::screen::Answer;
 use super::sought::{Range, Sought};
 use super::strip::{LANES, Strip, centred, firsts};
 use super::{BATCH, collect, plain};
@@ -55,13 +56,13 @@ fn meet<const D: usize>(frame: &Frame<D>, sought: &[Sought<D>], strips: &[(usize
     let mut sought = sought.to_vec();
     let ranges: Vec<Option<Range>> = sought.iter().map(|s| s.screened.then(|| frame.range(s))).collect();
     let all: Vec<usize> = (0..frame.poses.poses.len()).collect();
-    let mut gains = Vec::new();
+    let mut answer = Answer::default();
     for (class, strip) in strips {
         for (sought, range) in sought.iter_mut().zip(&ranges) {
             let Some(range) = range else { continue };
             let chosen = frame.classes.as_ref().map_or(&*all, |c| c.met(range.class, *class));
             if !chosen.is_empty() {
-                sought.meet(frame, range, chosen, strip, 0..strip.domains.len(), &mut gains);
+                sought.meet(frame, range, chosen, strip, 0..strip.domains.len(), &mut answer);
             }
         }
     }
