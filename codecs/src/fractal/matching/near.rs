@@ -9,8 +9,8 @@ use crate::Result;
 use crate::fractal::grid::points;
 use crate::work::{self, Workers};
 
-/// Numbers of domains that are laid out at once by one part of the work.
-const NUMBERS: usize = 1 << 20;
+/// Numbers of domains that are laid out at once by one part of the work: 4 MiB. In tests small grids shall fall into parts as well.
+const NUMBERS: usize = if cfg!(test) { 5000 } else { 1 << 20 };
 
 /// Sides of ranges along a side of the cell whose ranges share what is laid out, and the least cell, in samples.
 const CELL: (usize, usize) = (4, 32);

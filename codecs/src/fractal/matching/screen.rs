@@ -55,6 +55,19 @@ impl Measure {
         let x = level * (length * self.inverse);
         x * ((c - x) + c)
     }
+
+    /// What is gained at most with domains that are neither shorter nor longer than these two. Between the lengths that some level makes equal to
+    /// the range's the gain of each level rises or falls, so that the most is at an end.
+    #[inline]
+    pub fn most(&self, short: f32, long: f32) -> f32 {
+        // Room for the roundings.
+        let (low, high) = (self.levels / long * 0.999_99, self.levels / short * 1.000_01);
+        let level = high.min(LEVELS) as i32;
+        if level >= 1 && level as f32 >= low {
+            return f32::INFINITY;
+        }
+        self.gain(1.0, short, 1.0 / short).max(self.gain(1.0, long, 1.0 / long))
+    }
 }
 
 /// What is asked of some lanes of a strip.
