@@ -10,6 +10,7 @@ use terraquilt_codecs::fractal::domains::Domains;
 use terraquilt_codecs::fractal::grid::{Grid, points};
 use terraquilt_codecs::fractal::isometry::group;
 use terraquilt_codecs::fractal::matching::{Level, Search};
+use terraquilt_codecs::fractal::scale::Scales;
 use terraquilt_codecs::work::Workers;
 
 /// Runs of which the quickest counts.
@@ -76,12 +77,21 @@ fn main() {
         let (grid, peak) = read(file);
         let half = grid.half();
         println!("{file}: {} x {}, range of values {peak}, {threads} threads", grid.size[0], grid.size[1]);
-        println!("{:>10} {:>4} {:>9} {:>10} {:>9} {:>8}", "search", "r", "seconds", "pairs", "PSNR dB", "matched");
+        println!(
+            "{:>10} {:>4} {:>9} {:>10} {:>9} {:>8}",
+            "search", "r", "seconds", "pairs", "PSNR dB", "matched"
+        );
         for search in [Search::Exact, Search::Classes, Search::Near(16)] {
             let mut total = 0.0;
             for side in [2, 4, 8, 16, 32] {
                 let domains = Domains::new(grid.size, side, 4);
-                let level = Level { grid: &grid, half: &half, domains, isometries: &isometries };
+                let level = Level {
+                    grid: &grid,
+                    half: &half,
+                    domains,
+                    isometries: &isometries,
+                    scales: Scales::of_bits(5),
+                };
                 let ranges: Vec<[usize; 2]> =
                     points(grid.size.map(|n| n / side)).map(|p| p.map(|v| v * side)).collect();
                 let (mut least, mut found) = (f64::MAX, Vec::new());
@@ -91,7 +101,7 @@ fn main() {
                     least = least.min(begun.elapsed().as_secs_f64());
                 }
                 total += least;
-                let pairs: usize = ranges.iter().map(|r| level.pairs(*r, search)).sum();
+                let pairs = level.pairs(&ranges, search) as f64;
                 let mut block = vec![0.0; side * side];
                 let mut flat = |range: [usize; 2]| {
                     grid.block(range, side, &mut block);

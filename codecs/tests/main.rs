@@ -11,6 +11,7 @@ mod hostile;
 mod layers;
 mod prefixes;
 mod smallest;
+mod solid;
 mod sparse;
 mod support;
 mod texture;

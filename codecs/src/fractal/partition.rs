@@ -59,6 +59,8 @@ impl<const D: usize> Source<D> for Plan<D> {
     }
 }
 
+/// Among the maps of a range the price of a bit, as a part of what the last split took for one: maps are counted, bits are not.
+const MAP_SLOPE: f64 = 0.3;
 /// Bits of a flat range, its kind and its mean: what a range costs at least.
 const FLAT_BITS: f64 = 4.0;
 /// Bits of a level of s and of the kind of a map.
@@ -85,7 +87,7 @@ impl<'a, const D: usize> Candidates<'a, D> {
         let mut all: Vec<Ranges<D>> = Vec::new();
         for level in 0..levels {
             let domains = shape.domains(level);
-            let match_with = Level { grid, half: &half, domains, isometries: &group };
+            let match_with = Level { grid, half: &half, domains, isometries: &group, scales: shape.scales() };
             let mut ranges = measured(shape, grid, weights, level);
             let wanted: Vec<usize> = match options.partition {
                 Some(Partition::Const(_)) if level + 1 < levels => Vec::new(),
@@ -308,7 +310,8 @@ impl<const D: usize> Pick<'_, D> {
                 left += child.error;
                 queue.push(child);
             }
-            slope = (q.error - left).max(0.0) / (((1 << D) - 1) as f64 * self.dearest(q.level + 1));
+            slope =
+                MAP_SLOPE * (q.error - left).max(0.0) / (((1 << D) - 1) as f64 * self.dearest(q.level + 1));
         }
         Ok((split, if squared > 0.0 { 0.0 } else { slope }))
     }
@@ -365,11 +368,11 @@ impl<const D: usize> Pick<'_, D> {
             (0..self.ranges[last].means.len()).map(|at| self.best(last, at, slope).0).collect();
         for level in (0..last).rev() {
             let mut above = Vec::with_capacity(self.ranges[level].means.len());
-            for at in 0..self.ranges[level].means.len() {
+            for (at, split) in split[level].iter_mut().enumerate() {
                 let whole = self.best(level, at, slope).0;
                 // A decision more: most are foreseen.
                 let parts: f64 = children(self.shape, level, at).map(|k| costs[k]).sum::<f64>() + slope * 0.5;
-                split[level][at] = parts < whole;
+                *split = parts < whole;
                 above.push(whole.min(parts));
             }
             costs = above;

@@ -28,6 +28,7 @@ mod tests;
 use super::domains::Domains;
 use super::grid::Grid;
 use super::isometry::Isometry;
+use super::scale::Scales;
 use crate::work::{self, Workers};
 use crate::{Error, Result};
 use frame::Frame;
@@ -68,6 +69,8 @@ pub struct Level<'a, const D: usize> {
     pub domains: Domains<D>,
     /// The orientations that they are tried in.
     pub isometries: &'a [Isometry<D>],
+    /// The levels of s.
+    pub scales: Scales,
 }
 
 /// Ranges that are one part of the work where little is to be done with each.
@@ -116,6 +119,19 @@ impl<const D: usize> Level<'_, D> {
         }
         work::check(workers, 1.0)?;
         Ok(out)
+    }
+
+    /// How many pairs of a domain and an isometry the ranges meet in a search: what the plain form would try.
+    pub fn pairs(&self, ranges: &[[usize; D]], search: Search) -> u64 {
+        let orders = self.isometries.len() as u64;
+        match search {
+            Search::Exact => (ranges.len() * self.domains.len()) as u64 * orders,
+            Search::Near(width) => {
+                let near = |range: &[usize; D]| self.domains.near(*range, width).1;
+                ranges.iter().map(|r| near(r).iter().product::<usize>() as u64 * orders).sum()
+            }
+            Search::Classes => classes::pairs(&Frame::new(self, search), ranges),
+        }
     }
 }
 

@@ -16,18 +16,17 @@
 use super::poses::Poses;
 use super::sought::Range;
 use super::strip::{LANES, Strip};
-use crate::fractal::scale::SCALE_MAX;
+use crate::fractal::scale::Scales;
 use multiversion::multiversion;
 
 /// By how much a gain may be too small.
 pub const ROOM: f64 = 128.0 / 16_777_216.0;
 
-/// The levels of s, as f32.
-const LEVELS: f32 = SCALE_MAX as f32;
-
 /// What the gain of a correlation depends on, besides the domain.
 #[derive(Clone, Copy)]
 pub struct Measure {
+    /// The greatest level of s.
+    max: f32,
     /// Levels of s times the length of the range.
     levels: f32,
     /// The inverse of it.
@@ -38,10 +37,11 @@ pub struct Measure {
 
 impl Measure {
     /// For a range of this length.
-    pub fn new(poses: &Poses, length: f32) -> Measure {
+    pub fn new(poses: &Poses, length: f32, scales: Scales) -> Measure {
         let sum = poses.rows / poses.parts + poses.parts;
-        let levels = LEVELS * length;
-        Measure { levels, inverse: 1.0 / levels, error: (sum + 8) as f32 / 8_388_608.0 }
+        let max = f32::from(scales.max());
+        let levels = max * length;
+        Measure { max, levels, inverse: 1.0 / levels, error: (sum + 8) as f32 / 8_388_608.0 }
     }
 
     /// What is gained at most with a domain, by its length and the inverse of that; 0 only if s is 0.
@@ -50,7 +50,7 @@ impl Measure {
         // Between 2^23 and 2^24 the whole numbers are all there is: to add and take away rounds.
         const WHOLE: f32 = 8_388_608.0;
         let c = correlation + self.error;
-        let level = (c * (self.levels * inverse)).min(LEVELS);
+        let level = (c * (self.levels * inverse)).min(self.max);
         let level = (level + WHOLE) - WHOLE;
         let x = level * (length * self.inverse);
         x * ((c - x) + c)

@@ -4,7 +4,6 @@ use super::Match;
 use super::frame::Frame;
 use super::screen::{self, Measure, ROOM};
 use super::strip::{LANES, Strip};
-use crate::fractal::scale;
 
 /// The best match so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,7 +67,7 @@ impl<const D: usize> Sought<D> {
         gains: &mut Vec<f32>,
     ) {
         gains.resize(lanes.len().next_multiple_of(LANES), 0.0);
-        let measure = Measure::new(&frame.poses, range.length);
+        let measure = Measure::new(&frame.poses, range.length, frame.level.scales);
         let greatest = screen::gains(&frame.poses, range, chosen, measure, strip, lanes.start, gains);
         if greatest <= self.needed() {
             return;
@@ -122,8 +121,8 @@ impl<const D: usize> Sought<D> {
         let values = &frame.level.half.values[frame.first(domain)..];
         let pairs = frame.places[isometry].iter().zip(&frame.offsets);
         let product = pairs.map(|(p, o)| range.block[*p as usize] * (values[*o] - mean)).sum::<f64>();
-        let scale = scale::nearest(product, squares);
-        let error = scale::error(scale, self.squares, product, squares);
+        let scale = frame.level.scales.nearest(product, squares);
+        let error = frame.level.scales.error(scale, self.squares, product, squares);
         let better = match self.best {
             None => error < self.squares,
             Some(b) => error < b.error || error == b.error && (domain, isometry) < (b.domain, b.isometry),
