@@ -61,6 +61,7 @@ PROTOTYPE = [
     ("Fuji", "quad 5000", 53.3, 16.1), ("Fuji", "quad 20000", 56.3, 4.62), ("Fuji", "quad 40000", 67.1, 2.45),
     ("Fuji", "const range2", np.inf, 1.95),
     ("Puget", "quad 5000", 34.9, 14.9), ("Puget", "quad 20000", 44.8, 3.78), ("Puget", "quad 40000", 52.4, 1.68),
+    ("Puget", "quad 44000", 52.4, 1.68),  # as above, with more of the smaller maps
 ]  # fmt: skip
 
 
