@@ -5,6 +5,7 @@
 //! the classes are in the same of the three orbits; otherwise none does.
 
 use super::super::isometry::Isometry;
+use super::frame::Frame;
 
 /// Quadrants from the least mean to the greatest; quadrant 1 lies along the first axis, 2 along the second.
 type Order = [usize; 4];
@@ -57,4 +58,18 @@ impl Classes {
     pub fn met(&self, range: usize, domain: usize) -> &[usize] {
         &self.met[range * CLASSES + domain]
     }
+}
+
+/// How many pairs of a domain and an isometry the ranges meet.
+pub fn pairs<const D: usize>(frame: &Frame<D>, ranges: &[[usize; D]]) -> u64 {
+    let Some(classes) = &frame.classes else { return 0 };
+    let mut domains = [0; CLASSES];
+    (0..frame.level.domains.len()).for_each(|k| domains[classes.of(&frame.raw(k))] += 1);
+    let mut block = vec![0.0; frame.samples];
+    let mut met = |range: &[usize; D]| {
+        frame.level.grid.block(*range, frame.level.domains.side, &mut block);
+        let class = classes.of(&block);
+        domains.iter().enumerate().map(|(d, n)| n * classes.met(class, d).len() as u64).sum::<u64>()
+    };
+    ranges.iter().map(&mut met).sum()
 }

@@ -122,7 +122,7 @@ fn digests<const D: usize>(frame: &Frame<D>, begin: usize, end: usize) -> Vec<Di
         }
         for ((domain, squares), hash) in domains.iter().zip(squares).zip(hashes) {
             if frame.length(squares).is_some() {
-                let class = frame.classes.as_ref().map_or(0, |c| c.of(&raw(frame, *domain)));
+                let class = frame.classes.as_ref().map_or(0, |c| c.of(&frame.raw(*domain)));
                 out.push(Digest { class, hash, domain: *domain });
             }
         }
@@ -130,15 +130,9 @@ fn digests<const D: usize>(frame: &Frame<D>, begin: usize, end: usize) -> Vec<Di
     out
 }
 
-/// The samples of a domain.
-fn raw<const D: usize>(frame: &Frame<D>, domain: usize) -> Vec<f64> {
-    let values = &frame.level.half.values[frame.first(domain)..];
-    frame.offsets.iter().map(|o| values[*o]).collect()
-}
-
 /// The samples of a domain without their mean.
 fn block<const D: usize>(frame: &Frame<D>, domain: usize) -> Vec<f64> {
-    let mut out = raw(frame, domain);
+    let mut out = frame.raw(domain);
     plain::centre(&mut out);
     out
 }

@@ -68,6 +68,12 @@ impl<'a, const D: usize> Frame<'a, D> {
         self.level.half.at(self.level.domains.corner(self.place(number)).map(|v| v / 2))
     }
 
+    /// The samples of a domain, by its number.
+    pub fn raw(&self, number: usize) -> Vec<f64> {
+        let values = &self.level.half.values[self.first(number)..];
+        self.offsets.iter().map(|o| values[*o]).collect()
+    }
+
     /// The length of a domain in f32, by the sum of its squares; `None` if it cannot match a range that is screened.
     pub fn length(&self, squares: f64) -> Option<f32> {
         let length = squares.sqrt() * self.unit;

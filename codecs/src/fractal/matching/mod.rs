@@ -117,6 +117,19 @@ impl<const D: usize> Level<'_, D> {
         work::check(workers, 1.0)?;
         Ok(out)
     }
+
+    /// How many pairs of a domain and an isometry the ranges meet in a search: what the plain form would try.
+    pub fn pairs(&self, ranges: &[[usize; D]], search: Search) -> u64 {
+        let orders = self.isometries.len() as u64;
+        match search {
+            Search::Exact => (ranges.len() * self.domains.len()) as u64 * orders,
+            Search::Near(width) => {
+                let near = |range: &[usize; D]| self.domains.near(*range, width).1;
+                ranges.iter().map(|r| near(r).iter().product::<usize>() as u64 * orders).sum()
+            }
+            Search::Classes => classes::pairs(&Frame::new(self, search), ranges),
+        }
+    }
 }
 
 /// What each part of the work makes, in order.
