@@ -3,7 +3,7 @@
 use crate::support::grids;
 use crate::support::random::Random;
 use crate::support::streams::{DENSE, coded, read, whole, wrong};
-use terraquilt_codecs::gtb::header::BLOCK;
+use terraquilt_codecs::blocks::BLOCK;
 use terraquilt_codecs::gtb::{Header, Heights, Profile, Stop};
 use terraquilt_codecs::lattice::{Lattice, N_MAX};
 

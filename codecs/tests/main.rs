@@ -3,6 +3,8 @@
 mod adaptive;
 mod bitree;
 mod damage;
+mod detail;
+mod fractal;
 mod frame;
 mod given;
 mod golden;

@@ -4,10 +4,11 @@
 //! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
 //!   samples, bit for bit; [`Written`]: what there is to say of it
 //! - [`StreamRequest`], [`stream()`]: the surface as one progressive stream (GTB)
-//! - [`drape`]: a picture onto the cells of a lattice; [`gtb`]: heights to GTB and back
+//! - [`drape`]: a picture onto the cells of a lattice; [`gtb`]: heights to GTB and back; [`fractal`]: fractal tiles
 
 pub mod drape;
 mod file;
+pub mod fractal;
 pub mod gtb;
 mod mesh;
 mod place;
@@ -22,8 +23,8 @@ pub use stream::{Choice, Refined, Stream, StreamRequest, Told, stream, version_o
 
 use crate::base::{Error, Result};
 
-/// Told what is done and the share of it; answers whether to go on.
-pub type Going<'a> = &'a dyn Fn(&str, f64) -> bool;
+/// Told what is done and the share of it, from any thread; answers whether to go on.
+pub type Going<'a> = &'a (dyn Fn(&str, f64) -> bool + Sync);
 
 fn go_on(going: Going, stage: &str, share: f64) -> Result<()> {
     if going(stage, share) { Ok(()) } else { Err(Error::Stopped) }

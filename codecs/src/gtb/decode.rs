@@ -4,8 +4,9 @@ use super::companion::Companion;
 use super::dense::{self, Reached};
 use super::encode::{PassEnd, Profile};
 use super::field::{Field, Given, SHOWN_WHOLE, Status};
-use super::header::{BLOCK, Header, unblocked};
+use super::header::Header;
 use super::{mask, sparse, surface};
+use crate::blocks::{BLOCK, unblocked};
 use crate::range::Decoder;
 use crate::{Error, Result};
 

@@ -2,9 +2,10 @@
 
 use super::companion::Companion;
 use super::field::{Field, Given, spread};
-use super::header::{Header, blocks, check_layers};
-use super::heights::{Heights, Place};
+use super::header::{Header, check_layers};
 use super::{bounds, dense, mask, sparse};
+use crate::blocks::blocks;
+use crate::heights::{Heights, Place};
 use crate::lattice::{Lattice, N_MAX, Pass};
 use crate::range::Encoder;
 use crate::{Error, Result};

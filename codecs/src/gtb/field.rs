@@ -1,7 +1,7 @@
 //! The lattice while it is coded: what each post is, and its height as a receiver has it.
 
 use super::header::Header;
-use super::heights::Heights;
+use crate::heights::Heights;
 use crate::lattice::Lattice;
 use crate::{Error, Result};
 

@@ -1,7 +1,9 @@
 //! The head of a file, and the blocks that carry the body (drawing: docs/gtb-format.md).
 
 use super::encode::Profile;
-use super::heights::Place;
+use crate::blocks;
+use crate::head::{self, Reader, Writer};
+use crate::heights::Place;
 use crate::lattice::{Lattice, N_MAX};
 use crate::{Error, Result};
 
@@ -9,10 +11,6 @@ use crate::{Error, Result};
 pub const MAGIC: [u8; 8] = *b"\x89GTB\r\n\x1a\n";
 /// The version that is written.
 pub const VERSION: u8 = 1;
-/// Bytes of the body between two checksums.
-pub const BLOCK: usize = 16 << 10;
-/// Longest head.
-pub const HEADER_BYTES_MAX: usize = 16 << 10;
 /// Most bytes of all texts in a head: what is left beside the numbers.
 pub const TEXT_BYTES_MAX: usize = 15 << 10;
 /// Layers at most.
@@ -47,67 +45,6 @@ pub struct Header {
     pub body: u64,
 }
 
-struct Writer(Vec<u8>);
-
-impl Writer {
-    fn varint(&mut self, mut v: u64) {
-        while v >= 128 {
-            self.0.push(v as u8 | 128);
-            v >>= 7;
-        }
-        self.0.push(v as u8);
-    }
-    fn real(&mut self, v: f64) {
-        self.0.extend_from_slice(&v.to_le_bytes());
-    }
-    fn text(&mut self, t: &str) {
-        self.varint(t.len() as u64);
-        self.0.extend_from_slice(t.as_bytes());
-    }
-}
-
-struct Reader<'a> {
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl Reader<'_> {
-    fn byte(&mut self) -> Result<u8> {
-        let b = self.bytes.get(self.at).copied();
-        self.at += 1;
-        b.ok_or_else(|| Error::damaged("head", "its fields are longer than it says; fetch the file again"))
-    }
-    fn varint(&mut self) -> Result<u64> {
-        let mut v = 0;
-        for k in 0..10 {
-            let b = self.byte()?;
-            v |= u64::from(b & 127).checked_shl(7 * k).unwrap_or(0);
-            if b < 128 {
-                return Ok(v);
-            }
-        }
-        Err(Error::damaged("head", "a number of more than ten bytes"))
-    }
-    fn real(&mut self) -> Result<f64> {
-        let mut eight = [0; 8];
-        for b in &mut eight {
-            *b = self.byte()?;
-        }
-        Ok(f64::from_le_bytes(eight))
-    }
-    fn text(&mut self) -> Result<String> {
-        let n = self.varint()?;
-        if n > HEADER_BYTES_MAX as u64 {
-            return Err(Error::damaged(
-                "head",
-                format!("a text of {n} bytes, {HEADER_BYTES_MAX} are allowed"),
-            ));
-        }
-        let bytes = (0..n).map(|_| self.byte()).collect::<Result<Vec<u8>>>()?;
-        String::from_utf8(bytes).map_err(|_| Error::damaged("head", "a text that is not UTF-8"))
-    }
-}
-
 const MASK: u8 = 1;
 const TEXTURE: u8 = 2;
 const GIVEN: u8 = 4;
@@ -119,10 +56,7 @@ impl Header {
         let t = &self.place.transform;
         let turned = t[2] != 0.0 || t[4] != 0.0;
         let flag = |on: bool, f: u8| if on { f } else { 0 };
-        let mut w = Writer(MAGIC.to_vec());
-        w.0.push(VERSION);
-        w.0.push(0);
-        w.0.push(0);
+        let mut w = Writer::new(&MAGIC, VERSION);
         w.0.push(self.profile.code());
         w.0.push(
             flag(self.mask, MASK)
@@ -150,55 +84,17 @@ impl Header {
         [&p.crs, &p.vertical, &p.source].into_iter().for_each(|t| w.text(t));
         self.bounds.iter().for_each(|b| w.varint(u64::from(*b)));
         w.varint(self.body);
-        let len = (w.0.len() + 4) as u16;
-        w.0[9..11].copy_from_slice(&len.to_le_bytes());
-        let crc = crc32c::crc32c(&w.0);
-        w.0.extend_from_slice(&crc.to_le_bytes());
-        w.0
+        w.sealed()
     }
 
     /// Reads the head of a file or of a prefix of one. Returns it and its length.
     pub fn read(bytes: &[u8]) -> Result<(Header, usize)> {
-        let seen = bytes.len().min(MAGIC.len());
-        if bytes[..seen] != MAGIC[..seen] {
-            return Err(Error::damaged("head", "this is no GTB file: its first bytes are others"));
-        }
-        if bytes.len() < 11 {
-            return Err(Error::Short { what: "head", needs: 11, has: bytes.len() as u64 });
-        }
-        if bytes[8] != VERSION {
-            return Err(Error::damaged(
-                "head",
-                format!(
-                    "version {} of GTB, this program reads version {VERSION}; take a newer program",
-                    bytes[8]
-                ),
-            ));
-        }
-        let len = usize::from(u16::from_le_bytes([bytes[9], bytes[10]]));
-        if !(16..=HEADER_BYTES_MAX).contains(&len) {
-            return Err(Error::damaged(
-                "head",
-                format!("a head of {len} bytes, 16 to {HEADER_BYTES_MAX} are allowed"),
-            ));
-        }
-        let Some(head) = bytes.get(..len) else {
-            return Err(Error::Short { what: "head", needs: len as u64, has: bytes.len() as u64 });
-        };
-        let (fields, crc) = head.split_at(len - 4);
-        let stored = u32::from_le_bytes([crc[0], crc[1], crc[2], crc[3]]);
-        let found = crc32c::crc32c(fields);
-        if stored != found {
-            return Err(Error::damaged(
-                "head",
-                format!("its checksum is {found:08x}, {stored:08x} was stored; fetch the file again"),
-            ));
-        }
+        let (fields, len) = head::opened(bytes, &MAGIC, VERSION, "GTB")?;
         Header::fields(fields).map(|h| (h, len))
     }
 
     fn fields(bytes: &[u8]) -> Result<Header> {
-        let mut r = Reader { bytes, at: 11 };
+        let mut r = Reader { bytes, at: head::FIXED };
         let profile = Profile::of_code(r.byte()?)?;
         let flags = r.byte()?;
         if flags >= 16 {
@@ -348,7 +244,7 @@ impl Header {
 
     /// The byte of the file at which a byte of the body lies, behind a head of `head` bytes.
     pub fn file_position(&self, head: usize, at: usize) -> u64 {
-        (head + at + 4 * at.div_ceil(BLOCK)) as u64
+        blocks::file_position(head, at)
     }
 }
 
@@ -379,50 +275,4 @@ pub(super) fn check_layers(profile: Profile, layers: &[u32]) -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// The body with a CRC-32C after each [`BLOCK`] bytes, and after the last.
-pub(super) fn blocks(body: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(body.len() + 4 * body.len().div_ceil(BLOCK));
-    for block in body.chunks(BLOCK) {
-        out.extend_from_slice(block);
-        out.extend_from_slice(&crc32c::crc32c(block).to_le_bytes());
-    }
-    out
-}
-
-/// What can be read of a body.
-pub(super) struct Body {
-    pub bytes: Vec<u8>,
-    /// Nothing is missing behind the bytes.
-    pub whole: bool,
-    /// A block with a wrong checksum, by the place of its first byte in the body: it and all behind it are left out.
-    pub damaged: Option<u64>,
-}
-
-/// The body of a file of which `bytes` follow the head. The bytes of a last block that is cut are taken as they are.
-pub(super) fn unblocked(bytes: &[u8], body: u64) -> Body {
-    let mut out = Body { bytes: Vec::new(), whole: true, damaged: None };
-    let mut left = body;
-    let mut at = 0;
-    while left > 0 {
-        let n = left.min(BLOCK as u64) as usize;
-        let rest = &bytes[at.min(bytes.len())..];
-        if let Some(four) = rest.get(n..n + 4) {
-            let stored = u32::from_le_bytes([four[0], four[1], four[2], four[3]]);
-            if crc32c::crc32c(&rest[..n]) != stored {
-                out.damaged = Some(body - left);
-                out.whole = false;
-                break;
-            }
-            out.bytes.extend_from_slice(&rest[..n]);
-        } else {
-            out.bytes.extend_from_slice(&rest[..n.min(rest.len())]);
-            out.whole = false;
-            break;
-        }
-        at += n + 4;
-        left -= n as u64;
-    }
-    out
 }

@@ -2,8 +2,8 @@
 
 use super::field::{Field, Status};
 use super::header::Header;
-use super::mixing::{self, Count, Weights};
 use crate::lattice::{Kind, Lattice, Pass, Post};
+use crate::mixing::{self, Count, Weights};
 use crate::range::Coder;
 
 /// Posts whose marks are looked at: four nearest, eight outer ones, all of earlier passes; four of the own pass.

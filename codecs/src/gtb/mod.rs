@@ -3,7 +3,6 @@
 //!
 //! Specification of GTB; after Abdelguerfi and others, "Geometric-Textured Bitree".
 //!
-//! - [`heights`]: heights as integers, voids, where they lie
 //! - [`header`]: the head of a file, and its blocks with checksums
 //! - [`companion`]: what travels between the heights: the texture
 //! - [`encode()`], [`decode()`]: the doors
@@ -16,18 +15,16 @@ mod dense;
 mod encode;
 mod field;
 pub mod header;
-pub mod heights;
 mod mask;
-mod mixing;
 pub mod select;
 mod sparse;
 mod strips;
 pub mod surface;
 pub mod texture;
 
+pub use crate::heights::{self, Heights, Place};
 pub use decode::{Decoded, Stop, decode, decode_within};
 pub use dense::Reached;
 pub use encode::{Encoded, Options, PassEnd, Profile, encode};
 pub use field::{Given, SHOWN_WHOLE};
 pub use header::Header;
-pub use heights::{Heights, Place};

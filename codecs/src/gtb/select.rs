@@ -3,8 +3,8 @@
 //! A [`Rule`] marks posts of a [`Ground`], as many as are wanted or as its threshold lets through. Posts without data are never
 //! marked. What a selection looks like is the surface of midpoints over it, [`Ground::surface`].
 
-use super::heights::Heights;
 use super::surface;
+use crate::heights::Heights;
 use crate::lattice::{Lattice, N_MAX};
 use crate::{Error, Result, lifting};
 

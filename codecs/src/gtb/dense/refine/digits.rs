@@ -1,8 +1,8 @@
 //! The digits of a layer: in which part of its interval a height lies.
 
-use super::super::super::mixing::{self, Count, Weights};
 use super::around::Around;
 use crate::lattice::{Kind, Pass};
+use crate::mixing::{self, Count, Weights};
 use crate::range::Coder;
 
 /// Contexts that speak on a decision: a guess each, and the first two together.

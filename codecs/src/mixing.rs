@@ -6,7 +6,7 @@
 use crate::range::{Coder, ONE};
 
 /// Logits are in 256ths, within this either way.
-pub(super) const LOGIT_MAX: i32 = 2047;
+pub(crate) const LOGIT_MAX: i32 = 2047;
 
 /// 65536 / (1 + e^(-x / 256)), rounded, for x from -2048 to 2047.
 static LOGISTIC: [u16; 4096] = logistic();
@@ -55,7 +55,7 @@ const DOUBT: u32 = 20;
 
 /// The probability of a one in a context: 22 bits, and in the low 10 how many decisions were seen.
 #[derive(Clone, Copy)]
-pub(super) struct Count(u32);
+pub(crate) struct Count(u32);
 
 /// 65536 / (n + 1.6), rounded down.
 static RATES: [u16; SEEN_MAX as usize + 1] = {
@@ -104,7 +104,7 @@ const WEIGHT_MAX: i32 = 8 << 16;
 
 /// Weights of `N` opinions, in 65536ths.
 #[derive(Clone, Copy)]
-pub(super) struct Weights<const N: usize> {
+pub(crate) struct Weights<const N: usize> {
     of: [i32; N],
     seen: u32,
 }
@@ -118,7 +118,7 @@ impl<const N: usize> Weights<N> {
 
 /// Codes one decision by `N` contexts, which learn, as do the weights.
 #[inline(always)]
-pub(super) fn code<C: Coder, const N: usize>(
+pub(crate) fn code<C: Coder, const N: usize>(
     c: &mut C,
     counts: &mut [Count],
     contexts: [usize; N],

@@ -1,0 +1,217 @@
+//! The inverse walk: the height at any point, at any depth, without its neighbours.
+
+use super::grid::{Grid, points, strides};
+use super::ifs::{Ifs, SAMPLES_MAX};
+use super::isometry::Isometry;
+use super::iterate::Stop;
+use crate::{Error, Result};
+
+/// Greatest depth of a walk: a sample is divided 2^24 times along each axis.
+pub const DEPTH_MAX: u32 = 24;
+
+/// A leaf as a walk meets it: `value(p) = offset + scale * value(domain + 2 iso(p - range))`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step<const D: usize> {
+    /// Corner of the range, in samples at zoom 1.
+    pub range: [u32; D],
+    /// Corner of the domain.
+    pub domain: [u32; D],
+    /// Side of the range.
+    pub side: u32,
+    /// Number of the isometry in its group.
+    pub isometry: u8,
+    /// s.
+    pub scale: f64,
+    /// o = m - s * mean(domain), at the fixed point.
+    pub offset: f64,
+}
+
+/// A tile ready to be asked anywhere.
+#[derive(Clone, Debug)]
+pub struct Walk<const D: usize> {
+    steps: Vec<Step<D>>,
+    index: Grid32<D>,
+    /// The cells of the index have a side of 2 to this, in samples.
+    cell_log: u32,
+    grid: Grid<D>,
+    size: [usize; D],
+    group: Vec<Isometry<D>>,
+}
+
+#[derive(Clone, Debug)]
+struct Grid32<const D: usize> {
+    size: [usize; D],
+    of: Vec<u32>,
+}
+
+impl<const D: usize> Walk<D> {
+    /// Prepares a tile: its fixed point at zoom 1, and the leaf of every place.
+    pub fn new(ifs: &Ifs<D>) -> Result<Walk<D>> {
+        let shape = &ifs.shape;
+        let grid = ifs.iterate([1, 1], shape.mean(0), Stop::TIGHT, &mut || true)?.grid;
+        Ok(Walk::of(ifs, grid))
+    }
+
+    fn of(ifs: &Ifs<D>, grid: Grid<D>) -> Walk<D> {
+        let shape = &ifs.shape;
+        let half = grid.half();
+        let smallest = if ifs.units.is_empty() { shape.side(shape.levels() - 1) } else { 1 };
+        let cell_log = smallest.trailing_zeros();
+        let cells = shape.padded().map(|n| n >> cell_log);
+        let mut index = Grid32 { size: cells, of: vec![0; cells.iter().product()] };
+        let mut steps = Vec::with_capacity(ifs.maps());
+        let mut put = |step: Step<D>, steps: &mut Vec<Step<D>>| {
+            let corner = step.range.map(|v| v as usize >> cell_log);
+            let mut rows = [step.side as usize >> cell_log; D];
+            let row = rows[0];
+            rows[0] = 1;
+            for p in points(rows) {
+                let at = (0..D).rev().fold(0, |at, a| at * index.size[a] + corner[a] + p[a]);
+                index.of[at..at + row].fill(steps.len() as u32);
+            }
+            steps.push(step);
+        };
+        let mut block = Vec::new();
+        for leaf in &ifs.leaves {
+            let side = shape.side(usize::from(leaf.level));
+            let domain = leaf.domain.map(|p| u32::from(p) * shape.jump as u32);
+            let s = shape.scales().scale(leaf.scale);
+            let mut offset = shape.mean(leaf.mean);
+            if leaf.scale != 0 {
+                block.resize(side.pow(D as u32), 0.0);
+                half.block(domain.map(|v| v as usize / 2), side, &mut block);
+                offset -= s * (block.iter().sum::<f64>() / block.len() as f64);
+            }
+            let range = leaf.cell.map(|c| u32::from(c) * side as u32);
+            put(
+                Step { range, domain, side: side as u32, isometry: leaf.isometry, scale: s, offset },
+                &mut steps,
+            );
+        }
+        for (corner, means) in ifs.units.iter().zip(ifs.unit_means.chunks_exact(1 << D)) {
+            for (k, mean) in means.iter().enumerate() {
+                let range = std::array::from_fn(|a| 2 * u32::from(corner[a]) + (k as u32 >> a & 1));
+                let offset = shape.mean(*mean);
+                put(Step { range, domain: [0; D], side: 1, isometry: 0, scale: 0.0, offset }, &mut steps);
+            }
+        }
+        Walk { steps, index, cell_log, grid, size: shape.size, group: shape.group() }
+    }
+
+    /// Samples of the tile along each axis.
+    pub fn size(&self) -> [usize; D] {
+        self.size
+    }
+
+    /// The samples at zoom 1, in whole ranges of the largest side: what walks end in.
+    pub fn grid(&self) -> &Grid<D> {
+        &self.grid
+    }
+
+    /// The leaves.
+    pub fn steps(&self) -> &[Step<D>] {
+        &self.steps
+    }
+
+    /// The number of the leaf of each cell of [`cell_side`](Walk::cell_side) samples, over the same box as [`grid`](Walk::grid).
+    pub fn index(&self) -> &[u32] {
+        &self.index.of
+    }
+
+    /// Side of the cells of the index: that of the smallest range.
+    pub fn cell_side(&self) -> usize {
+        1 << self.cell_log
+    }
+
+    /// Its isometries, by number.
+    pub fn group(&self) -> &[Isometry<D>] {
+        &self.group
+    }
+
+    /// The value at a point, in samples from the corner of the tile: sample (i, j) covers i to i + 1 and j to j + 1. At depth k it is that of
+    /// the cell of side 2^-k that holds the point. Points outside are moved to the border.
+    ///
+    /// Depth 0 is the sample itself. Whatever comes below it is synthetic.
+    #[inline]
+    pub fn value(&self, point: [f64; D], depth: u32) -> f64 {
+        let mut p: [f64; D] = std::array::from_fn(|a| {
+            // A point on the far border belongs to the last sample; NaN to the first.
+            point[a].max(0.0).min(self.size[a] as f64 - 1e-9)
+        });
+        let (mut sum, mut factor) = (0.0, 1.0);
+        for _ in 0..depth.min(DEPTH_MAX) {
+            let at = (0..D).rev().fold(0, |at, a| at * self.index.size[a] + (p[a] as usize >> self.cell_log));
+            let step = &self.steps[self.index.of[at] as usize];
+            sum += factor * step.offset;
+            if step.scale == 0.0 {
+                return sum;
+            }
+            factor *= step.scale;
+            let side = f64::from(step.side);
+            let inner = std::array::from_fn(|a| p[a] - f64::from(step.range[a]));
+            let q = self.group[usize::from(step.isometry)].source(inner, side);
+            p = std::array::from_fn(|a| {
+                // A mirror takes the open end of a range to the closed one.
+                (f64::from(step.domain[a]) + 2.0 * q[a]).min(self.grid.size[a] as f64 - 1e-9)
+            });
+        }
+        let at = (0..D).rev().fold(0, |at, a| at * self.grid.size[a] + p[a] as usize);
+        sum + factor * self.grid.values[at]
+    }
+
+    /// The depth at which a walk is as fine as samples `wanted` apart are: 0 if the tile's own are `step` apart and that is finer.
+    pub fn depth(step: f64, wanted: f64) -> u32 {
+        let mut depth = 0;
+        let mut reached = step;
+        while reached > wanted && depth < DEPTH_MAX {
+            reached /= 2.0;
+            depth += 1;
+        }
+        depth
+    }
+
+    /// All samples at zoom 2^k: k passes of single fetches, each from the one before. The whole box in whole ranges.
+    pub fn doubled(&self, k: u32) -> Result<Grid<D>> {
+        let samples = self.grid.values.len() as u64;
+        let wanted = samples.saturating_mul(1_u64.checked_shl(k * D as u32).unwrap_or(u64::MAX));
+        if wanted > 2 * SAMPLES_MAX {
+            return Err(Error::Limit {
+                what: "samples of a decoded tile; take a smaller zoom or a window",
+                limit: 2 * SAMPLES_MAX,
+                wanted,
+            });
+        }
+        let mut grid = self.grid.clone();
+        for pass in 0..k {
+            grid = self.twice(&grid, 1 << pass);
+        }
+        Ok(grid)
+    }
+
+    /// From zoom z to 2z.
+    fn twice(&self, from: &Grid<D>, zoom: usize) -> Grid<D> {
+        let mut out = Grid::filled(from.size.map(|n| 2 * n), 0.0);
+        let to_strides = strides(out.size);
+        for step in &self.steps {
+            let side = step.side as usize * 2 * zoom;
+            let (start, steps) = self.group[usize::from(step.isometry)].steps(strides(from.size), side);
+            let start = (from.at(step.domain.map(|v| v as usize * zoom)) + start) as isize;
+            let to = out.at(step.range.map(|v| v as usize * 2 * zoom));
+            let mut rows = [side; D];
+            rows[0] = 1;
+            for p in points(rows) {
+                let at = to + (1..D).map(|a| p[a] * to_strides[a]).sum::<usize>();
+                let row = start + (1..D).map(|a| p[a] as isize * steps[a]).sum::<isize>();
+                let out = &mut out.values[at..at + side];
+                if step.scale == 0.0 {
+                    out.fill(step.offset);
+                    continue;
+                }
+                for (x, v) in out.iter_mut().enumerate() {
+                    *v = step.offset + step.scale * from.values[(row + x as isize * steps[0]) as usize];
+                }
+            }
+        }
+        out
+    }
+}

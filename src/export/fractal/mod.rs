@@ -1,0 +1,25 @@
+//! Fractal tiles (`docs/fractal-format.md`): of the surface, and of files.
+//!
+//! - [`Threads`]: the threads of the current pool, at work for the codec
+
+mod workers;
+
+pub use workers::Threads;
+
+use crate::base::Error;
+use terraquilt_codecs::fractal::{Header, Kind};
+
+/// An error of the codec about a file (or a tile that is made).
+pub fn told(file: &str, e: terraquilt_codecs::Error) -> Error {
+    super::gtb::told(file, e)
+}
+
+/// Peak signal to noise ratio in decibels, of the errors that the encoder measured. The peak is 255 for pictures and volumes, the
+/// span of the heights for heights. `None` where nothing differs.
+pub fn psnr_db(h: &Header) -> Option<f64> {
+    let peak = match h.kind {
+        Kind::Heights => f64::from(h.range[1]) - f64::from(h.range[0]),
+        Kind::Grey | Kind::Colour | Kind::Volume => 255.0,
+    };
+    (h.error_rms > 0.0 && peak > 0.0).then(|| 20.0 * (peak / h.error_rms).log10())
+}
