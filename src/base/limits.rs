@@ -60,3 +60,5 @@ pub const FILES_MAX: u64 = 1000;
 pub const LATTICE_SIDE_MAX: u64 = 8193;
 /// Bytes of one GTB file.
 pub const GTB_BYTES_MAX: u64 = 1 << 30;
+/// Bytes of one file with a triangle mesh.
+pub const MESH_FILE_BYTES_MAX: u64 = 1 << 30;
