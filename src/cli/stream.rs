@@ -135,7 +135,8 @@ impl StreamArgs {
         }
         let choice = self.choice()?;
         let begun = if self.resume { begun(to.0)? } else { Vec::new() };
-        let named = Header::read(&begun).ok().and_then(|(h, _)| version_of(&h)).filter(|_| at.is_none());
+        let named =
+            Header::read(&begun).ok().and_then(|(h, _)| version_of(&h.place)).filter(|_| at.is_none());
         let request = v1::SurfaceRequest {
             region: asked.region,
             tolerance: asked.tolerance,
