@@ -10,6 +10,7 @@
 //! - [`lifting`]: wavelets by lifting, on posts and on cells
 //! - [`gtb`]: the geometric-textured bitree
 //! - [`fractal`]: fractal tiles
+//! - [`solid`]: triangle meshes to distance fields and back
 //! - [`work`]: whose threads do the work
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
@@ -24,6 +25,7 @@ pub mod lattice;
 pub mod lifting;
 mod mixing;
 pub mod range;
+pub mod solid;
 pub mod work;
 
 pub use error::{Error, Result};

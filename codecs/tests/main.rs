@@ -3,6 +3,7 @@
 mod adaptive;
 mod bitree;
 mod damage;
+mod detail;
 mod frame;
 mod given;
 mod golden;
@@ -10,6 +11,7 @@ mod hostile;
 mod layers;
 mod prefixes;
 mod smallest;
+mod solid;
 mod sparse;
 mod support;
 mod texture;

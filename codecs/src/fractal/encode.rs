@@ -36,7 +36,7 @@ pub struct Options {
     pub isometries: Option<usize>,
     /// Along each axis so many domains round a range have short numbers; 0: none has.
     pub near: Option<usize>,
-    /// Step of the means in units. `None`: 1, half the bound of a bounded tile if that is more.
+    /// Step of the means in units. `None`: of a bounded tile 1, or half the bound if that is more; else 1/2, 1/4 where less than eight samples share a map.
     pub step: Option<f64>,
     /// I and Q of colours are so many times smaller along each axis: 1, 2 or 4.
     pub chroma: usize,
@@ -71,6 +71,16 @@ pub struct Encoded {
 const SLOPES: [f64; 4] = [0.25, 1.0, 4.0, 16.0];
 
 impl Options {
+    /// Whether so few samples share a map that its numbers are what errors come from.
+    fn fine<const D: usize>(&self, size: [usize; D]) -> bool {
+        let samples: usize = size.iter().product();
+        match self.partition {
+            Some(Partition::Maps(n)) => samples < n.saturating_mul(8),
+            Some(Partition::Const(r)) => r.saturating_pow(D as u32) < 8,
+            _ => false,
+        }
+    }
+
     fn shape<const D: usize>(&self, size: [usize; D]) -> Result<Shape<D>> {
         let mut min = self.range_min;
         if let Some(Partition::Const(r)) = self.partition {
@@ -95,7 +105,11 @@ impl Options {
                 Search::Near(w) => w,
                 _ => self.near.unwrap_or(if D == 2 { 16 } else { 4 }),
             },
-            step: self.step.unwrap_or(1.0_f64.max(bound / 2.0)),
+            step: self.step.unwrap_or_else(|| match self.bound {
+                Some(_) => 1.0_f64.max(bound / 2.0),
+                None if self.fine(size) => 0.25,
+                None => 0.5,
+            }),
             origin: 0.0,
         };
         match self.range_max {

@@ -10,7 +10,9 @@
 //! - [`matching`]: the search for the domain that is most like a range
 //! - [`encode_heights()`], [`encode_picture()`], [`encode_volume()`]; [`Tile`]: the doors
 //! - [`Ifs`]: leaves; [`iterate`]: from them to samples, [`walk`]: the value at any point
+//! - [`detail`]: synthetic detail below the sample distance, as rough as the tile's own
 mod colour;
+pub mod detail;
 pub mod domains;
 mod encode;
 pub mod grid;

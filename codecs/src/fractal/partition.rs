@@ -59,6 +59,8 @@ impl<const D: usize> Source<D> for Plan<D> {
     }
 }
 
+/// Among the maps of a range the price of a bit, as a part of what the last split took for one: maps are counted, bits are not.
+const MAP_SLOPE: f64 = 0.3;
 /// Bits of a flat range, its kind and its mean: what a range costs at least.
 const FLAT_BITS: f64 = 4.0;
 /// Bits of a level of s and of the kind of a map.
@@ -308,7 +310,8 @@ impl<const D: usize> Pick<'_, D> {
                 left += child.error;
                 queue.push(child);
             }
-            slope = (q.error - left).max(0.0) / (((1 << D) - 1) as f64 * self.dearest(q.level + 1));
+            slope =
+                MAP_SLOPE * (q.error - left).max(0.0) / (((1 << D) - 1) as f64 * self.dearest(q.level + 1));
         }
         Ok((split, if squared > 0.0 { 0.0 } else { slope }))
     }

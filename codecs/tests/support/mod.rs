@@ -1,6 +1,8 @@
 //! Grids for tests: seeded terrain, and real ones of the repository's fixtures.
 pub mod grids;
 pub mod random;
+pub mod reduced;
+pub mod spectrum;
 pub mod streams;
 
 use std::path::{Path, PathBuf};

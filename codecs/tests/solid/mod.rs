@@ -1,0 +1,7 @@
+//! Solids: meshes to fields and back, held against shapes whose distances are known.
+
+mod bodies;
+mod contours;
+mod fields;
+mod meshes;
+mod real;

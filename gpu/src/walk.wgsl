@@ -1,0 +1,73 @@
+// The inverse walk through a fractal tile, for compute and fragment shaders alike.
+//
+// A place along an axis is two words: whole cells of the zoom-1 grid, and 2^-32 parts of a cell. Doubling and mirroring
+// are then exact: no zoom is too deep for the steps to find the leaves that exact arithmetic finds.
+
+struct Shape {
+    // Columns and rows of the zoom-1 grid, in whole ranges of the largest side.
+    size: vec2<u32>,
+    // Entries in a row of the index.
+    across: u32,
+    // The side of an index entry is 2^shift cells.
+    shift: u32,
+}
+
+struct Leaf {
+    range: vec2<u32>,
+    domain: vec2<u32>,
+    side: u32,
+    // 1: the axes change places; 2: columns backwards; 4: rows backwards.
+    turn: u32,
+    scale: f32,
+    offset: f32,
+}
+
+@group(0) @binding(0) var<uniform> shape: Shape;
+@group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
+@group(0) @binding(2) var<storage, read> index: array<u32>;
+@group(0) @binding(3) var<storage, read> seed: array<f32>;
+
+// side - p
+fn mirrored(p: vec2<u32>, side: u32) -> vec2<u32> {
+    return vec2<u32>(side - p.x - select(0u, 1u, p.y != 0u), 0u - p.y);
+}
+
+// corner + 2 p, in a grid of `size` cells. A mirror takes the open end of a range to the closed one: there it is just inside.
+fn doubled(p: vec2<u32>, corner: u32, size: u32) -> vec2<u32> {
+    let cell = corner + ((p.x << 1u) | (p.y >> 31u));
+    return select(vec2<u32>(size - 1u, 0xfffffffcu), vec2<u32>(cell, p.y << 1u), cell < size);
+}
+
+// The value at a place in the tile after `depth` steps, in shares of the height range.
+fn walk(x_start: vec2<u32>, y_start: vec2<u32>, depth: u32) -> f32 {
+    var x = x_start;
+    var y = y_start;
+    var sum = 0.0;
+    var factor = 1.0;
+    for (var step = 0u; step < depth; step++) {
+        let cell = vec2<u32>(x.x, y.x) >> vec2<u32>(shape.shift);
+        let leaf = leaves[index[cell.y * shape.across + cell.x]];
+        sum += factor * leaf.offset;
+        factor *= leaf.scale;
+        // Nothing behind a flat leaf counts.
+        if factor == 0.0 {
+            return sum;
+        }
+        var u = vec2<u32>(x.x - leaf.range.x, x.y);
+        var v = vec2<u32>(y.x - leaf.range.y, y.y);
+        if (leaf.turn & 1u) != 0u {
+            let t = u;
+            u = v;
+            v = t;
+        }
+        if (leaf.turn & 2u) != 0u {
+            u = mirrored(u, leaf.side);
+        }
+        if (leaf.turn & 4u) != 0u {
+            v = mirrored(v, leaf.side);
+        }
+        x = doubled(u, leaf.domain.x, shape.size.x);
+        y = doubled(v, leaf.domain.y, shape.size.y);
+    }
+    return sum + factor * seed[y.x * shape.size.x + x.x];
+}

@@ -1,0 +1,78 @@
+//! A tile in the numbers that the shaders read.
+
+use bytemuck::{Pod, Zeroable};
+use terraquilt_codecs::fractal::Walk;
+use terraquilt_codecs::fractal::isometry::Isometry;
+use terraquilt_codecs::{Error, Result};
+
+/// As `Shape` of walk.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Shape {
+    size: [u32; 2],
+    across: u32,
+    shift: u32,
+}
+
+/// As `Leaf` of walk.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Leaf {
+    range: [u32; 2],
+    domain: [u32; 2],
+    side: u32,
+    turn: u32,
+    scale: f32,
+    offset: f32,
+}
+
+/// Heights are shares of the range from the lowest to the highest sample: the 24 bits of a GPU's numbers then serve the range, not the
+/// height above the sea.
+pub(crate) struct Words {
+    pub shape: Shape,
+    pub leaves: Vec<Leaf>,
+    pub seed: Vec<f32>,
+    /// Height of share 0.
+    pub low: f64,
+    /// How much higher share 1 is.
+    pub span: f64,
+}
+
+impl Words {
+    /// # Errors
+    /// Invalid for heights that are no numbers, or that differ from the samples by more than float32 holds.
+    pub(crate) fn of(walk: &Walk<2>) -> Result<Words> {
+        let samples = &walk.grid().values;
+        let low = samples.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = samples.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let span = if high > low { high - low } else { 1.0 };
+        let turns: Vec<u32> = walk.group().iter().map(turn).collect();
+        let leaves = walk.steps().iter().map(|l| Leaf {
+            range: l.range,
+            domain: l.domain,
+            side: l.side,
+            turn: turns[usize::from(l.isometry)],
+            scale: l.scale as f32,
+            // low + span v = s (low + span w) + o
+            offset: ((l.offset + l.scale * low - low) / span) as f32,
+        });
+        let leaves: Vec<Leaf> = leaves.collect();
+        let seed: Vec<f32> = samples.iter().map(|v| ((v - low) / span) as f32).collect();
+        let place = |what: &str, at: Option<usize>| at.map(|k| format!("{what} {k}"));
+        let wrong = place("leaf", leaves.iter().position(|l| !l.offset.is_finite()))
+            .or(place("sample", seed.iter().position(|v| !v.is_finite())));
+        if let Some(place) = wrong {
+            let reason = format!("{place} is too far from the samples, which reach from {low} to {high}");
+            return Err(Error::invalid("fractal tile", reason));
+        }
+        let size = walk.grid().size.map(|n| n as u32);
+        let shift = walk.cell_side().trailing_zeros();
+        Ok(Words { shape: Shape { size, across: size[0] >> shift, shift }, leaves, seed, low, span })
+    }
+}
+
+/// What `walk` of walk.wgsl does to find the point that is read.
+fn turn(i: &Isometry<2>) -> u32 {
+    let [(first, column_back), (_, row_back)] = i.of;
+    first as u32 | u32::from(column_back) << 1 | u32::from(row_back) << 2
+}
