@@ -1,6 +1,6 @@
 //! Maps, quality and bytes of fractal tiles: `cargo run --release --example fractal -- quad 5000 picture.pgm ...`
 //!
-//! `quad N`, `const R`, `slope S`, `bound E`; `STEP` of the means; `SEARCH` = exact (default), classes or a number: near. Pictures are binary PGM; heights u32 columns, u32 rows, i32
+//! `quad N`, `const R`, `slope S`, `bound E`; `STEP` of the means; `BITS` of s; `SEARCH` = exact (default), classes or a number: near. Pictures are binary PGM; heights u32 columns, u32 rows, i32
 //! each, little-endian.
 
 use std::time::Instant;
@@ -61,6 +61,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Ok(n) => Search::Near(n.parse()?),
         },
         step: std::env::var("STEP").ok().map(|s| s.parse()).transpose()?,
+        scale_bits: std::env::var("BITS").ok().map(|s| s.parse()).transpose()?,
         ..Options::default()
     };
     match what.as_str() {

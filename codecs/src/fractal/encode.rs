@@ -36,6 +36,8 @@ pub struct Options {
     pub isometries: Option<usize>,
     /// Along each axis so many domains round a range have short numbers; 0: none has.
     pub near: Option<usize>,
+    /// Bits of a level of s, 2 to 8. `None`: 5, 7 where all ranges have one side.
+    pub scale_bits: Option<u32>,
     /// Step of the means in units. `None`: of a bounded tile 1, or half the bound if that is more; else 1/2, 1/4 where less than eight samples share a map.
     pub step: Option<f64>,
     /// I and Q of colours are so many times smaller along each axis: 1, 2 or 4.
@@ -53,6 +55,7 @@ impl Default for Options {
             jump: 4,
             isometries: None,
             near: None,
+            scale_bits: None,
             step: None,
             chroma: 2,
         }
@@ -105,6 +108,10 @@ impl Options {
                 Search::Near(w) => w,
                 _ => self.near.unwrap_or(if D == 2 { 16 } else { 4 }),
             },
+            scale_bits: self.scale_bits.unwrap_or(match self.partition {
+                Some(Partition::Const(_)) => 7,
+                _ => 5,
+            }),
             step: self.step.unwrap_or_else(|| match self.bound {
                 Some(_) => 1.0_f64.max(bound / 2.0),
                 None if self.fine(size) => 0.25,

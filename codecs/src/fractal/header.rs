@@ -14,8 +14,6 @@ pub const VERSION: u8 = 1;
 pub const BOUND_MAX: u32 = 1 << 20;
 /// Most bytes of all texts in a head.
 pub const TEXT_BYTES_MAX: usize = 15 << 10;
-/// Bits of s in a leaf.
-const SCALE_BITS: u8 = 5;
 
 /// What samples are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,7 +113,6 @@ impl Header {
             w.varint(u64::from(e));
         }
         w.0.push(code_of(self.search));
-        w.0.push(SCALE_BITS);
         self.range.iter().for_each(|v| w.0.extend_from_slice(&v.to_le_bytes()));
         w.real(self.error_max);
         w.real(self.error_rms);
@@ -187,13 +184,6 @@ impl Header {
             2 => Search::Near(0),
             k => return Err(Error::damaged("head", format!("search {k}; 0 to 2 are known"))),
         };
-        let bits = r.byte()?;
-        if bits != SCALE_BITS {
-            return Err(Error::damaged(
-                "head",
-                format!("{bits} bits of s; {SCALE_BITS} are known, take a newer program"),
-            ));
-        }
         let mut range = [0; 2];
         for v in &mut range {
             *v = i32::from_le_bytes([r.byte()?, r.byte()?, r.byte()?, r.byte()?]);
@@ -315,7 +305,7 @@ fn shape_out<const D: usize>(s: &Shape<D>, size: [usize; 3], w: &mut Writer) {
     w.0.push(size[0].div_ceil(s.size[0]) as u8);
     w.0.extend_from_slice(&[s.range_max_log as u8, s.range_min_log as u8]);
     w.varint(s.jump as u64);
-    w.0.extend_from_slice(&[s.isometries as u8, s.near as u8]);
+    w.0.extend_from_slice(&[s.isometries as u8, s.near as u8, s.scale_bits as u8]);
     w.real(s.step);
     w.real(s.origin);
 }
@@ -331,8 +321,19 @@ fn shape_in<const D: usize>(size: [usize; D], r: &mut Reader) -> Result<Shape<D>
     let (max, min) = (u32::from(r.byte()?), u32::from(r.byte()?));
     let jump = usize::try_from(r.varint()?).unwrap_or(usize::MAX);
     let (isometries, near) = (usize::from(r.byte()?), usize::from(r.byte()?));
+    let scale_bits = u32::from(r.byte()?);
     let (step, origin) = (r.real()?, r.real()?);
     let size = size.map(|n| n.div_ceil(by));
-    let shape = Shape { size, range_max_log: max, range_min_log: min, jump, isometries, near, step, origin };
+    let shape = Shape {
+        size,
+        range_max_log: max,
+        range_min_log: min,
+        jump,
+        isometries,
+        near,
+        scale_bits,
+        step,
+        origin,
+    };
     shape.check().map(|()| shape)
 }

@@ -2,6 +2,7 @@
 
 use super::domains::Domains;
 use super::isometry::{self, Isometry};
+use super::scale::{BITS, Scales};
 use crate::{Error, Result};
 
 /// Greatest side of ranges, as a power of two.
@@ -35,6 +36,8 @@ pub struct Shape<const D: usize> {
     pub isometries: usize,
     /// Along each axis so many domains round a range have short numbers; 0: none has.
     pub near: usize,
+    /// Bits of a level of s.
+    pub scale_bits: u32,
     /// A mean is `origin + step * number`.
     pub step: f64,
     /// See `step`.
@@ -86,6 +89,12 @@ impl<const D: usize> Shape<D> {
         if self.near > NEAR_MAX {
             return Err(Error::invalid("near", format!("{} domains; at most {NEAR_MAX}", self.near)));
         }
+        if !BITS.contains(&self.scale_bits) {
+            return Err(Error::invalid(
+                "bits of s",
+                format!("{}; {} to {}", self.scale_bits, BITS.start(), BITS.end()),
+            ));
+        }
         isometry::group::<D>(self.isometries)?;
         if !(self.step.is_finite() && self.step > 0.0 && self.origin.is_finite()) {
             return Err(Error::invalid(
@@ -126,6 +135,11 @@ impl<const D: usize> Shape<D> {
         Domains::new(self.padded(), self.side(level), self.jump)
     }
 
+    /// The levels of s.
+    pub fn scales(&self) -> Scales {
+        Scales::of_bits(self.scale_bits)
+    }
+
     /// Its isometries.
     pub fn group(&self) -> Vec<Isometry<D>> {
         isometry::group(self.isometries).unwrap_or_else(|_| vec![Isometry::identity()])
@@ -151,7 +165,7 @@ pub struct Leaf<const D: usize> {
     pub level: u8,
     /// Number of the isometry in the group.
     pub isometry: u8,
-    /// Level of s: fifteenths. 0: a flat range, domain and isometry say nothing.
+    /// Level of s. 0: a flat range, domain and isometry say nothing.
     pub scale: i8,
 }
 

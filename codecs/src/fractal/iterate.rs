@@ -6,7 +6,6 @@
 use super::grid::{Grid, points, strides};
 use super::ifs::{Ifs, Leaf};
 use super::isometry::Isometry;
-use super::scale::scale;
 use crate::{Error, Result};
 
 /// When passes end.
@@ -247,7 +246,7 @@ impl<const D: usize> Ifs<D> {
         let Some(isometry) = isometry else {
             return to.fill(corner, side, |v| put(v, mean));
         };
-        let s = scale(leaf.scale);
+        let s = self.shape.scales().scale(leaf.scale);
         let domain = leaf.domain.map(|p| usize::from(p) * (self.shape.jump / 2) * a / b);
         let (from, steps) = isometry.steps(strides(half.size), side);
         let from = (half.at(domain) + from) as isize;

@@ -7,6 +7,7 @@
 //! - [`grid`]: samples in the plane or in space
 //! - [`isometry`]: the 8 symmetries of the square, the 48 of the cube
 //! - [`domains`]: where domains lie
+//! - [`scale`]: the levels of s
 //! - [`matching`]: the search for the domain that is most like a range
 //! - [`encode_heights()`], [`encode_picture()`], [`encode_volume()`]; [`Tile`]: the doors
 //! - [`Ifs`]: leaves; [`iterate`]: from them to samples, [`walk`]: the value at any point
@@ -25,7 +26,7 @@ pub mod matching;
 mod number;
 mod partition;
 mod residual;
-mod scale;
+pub mod scale;
 mod tile;
 mod tree;
 pub mod walk;

@@ -87,7 +87,7 @@ impl<'a, const D: usize> Candidates<'a, D> {
         let mut all: Vec<Ranges<D>> = Vec::new();
         for level in 0..levels {
             let domains = shape.domains(level);
-            let match_with = Level { grid, half: &half, domains, isometries: &group };
+            let match_with = Level { grid, half: &half, domains, isometries: &group, scales: shape.scales() };
             let mut ranges = measured(shape, grid, weights, level);
             let wanted: Vec<usize> = match options.partition {
                 Some(Partition::Const(_)) if level + 1 < levels => Vec::new(),
@@ -368,11 +368,11 @@ impl<const D: usize> Pick<'_, D> {
             (0..self.ranges[last].means.len()).map(|at| self.best(last, at, slope).0).collect();
         for level in (0..last).rev() {
             let mut above = Vec::with_capacity(self.ranges[level].means.len());
-            for at in 0..self.ranges[level].means.len() {
+            for (at, split) in split[level].iter_mut().enumerate() {
                 let whole = self.best(level, at, slope).0;
                 // A decision more: most are foreseen.
                 let parts: f64 = children(self.shape, level, at).map(|k| costs[k]).sum::<f64>() + slope * 0.5;
-                split[level][at] = parts < whole;
+                *split = parts < whole;
                 above.push(whole.min(parts));
             }
             costs = above;

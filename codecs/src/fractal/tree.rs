@@ -101,13 +101,13 @@ struct Models {
 const KIND_CONTEXTS: [usize; 3] = [LENGTHS, 64, LENGTHS * 4];
 
 impl Models {
-    fn new(axes: usize) -> Models {
+    fn new(axes: usize, scale_bits: u32) -> Models {
         Models {
             means: Numbers::new([LEVELS * LENGTHS, LENGTHS * 8, LENGTHS * 4]),
             last: vec![Choice::new(axes as u32); LENGTHS * 2],
             kinds: vec![Count::NEW; LEVELS * 3 * KIND_CONTEXTS.iter().sum::<usize>()],
             weights: [[Weights::new(); 3]; LEVELS],
-            scales: vec![Choice::new(4); LEVELS * 2],
+            scales: vec![Choice::new(scale_bits - 1); LEVELS * 2],
             signs: vec![Count::NEW; LEVELS * 2],
         }
     }
@@ -148,7 +148,7 @@ pub(super) fn code<C: Coder, S: Source<D>, const D: usize>(
         unit_means: Vec::new(),
         complete: true,
     };
-    let mut models = Models::new(D);
+    let mut models = Models::new(D, shape.scale_bits);
     let mut means = Cells { size: shape.cells(0), of: Vec::new() };
     let mut nodes: Vec<[u16; D]> = points(shape.cells(0)).map(|p| p.map(|v| v as u16)).collect();
     means.of = vec![0; nodes.len()];
@@ -325,10 +325,9 @@ fn kinds<C: Coder, S: Source<D>, const D: usize>(
             let near = shape.near > 0 && models.kind(c, context_level, 2, contexts, close);
             let row = context_level * 2 + usize::from(near);
             let negative = models.signs[row].code(c, scale < 0);
-            let size = models.scales[row]
-                .code(c, u32::from(scale.unsigned_abs().wrapping_sub(1)) & 15)
-                .min(14) as i8
-                + 1;
+            let greatest = shape.scales().max();
+            let told = u32::from(scale.unsigned_abs().wrapping_sub(1)).min(greatest as u32 - 1);
+            let size = models.scales[row].code(c, told).min(greatest as u32 - 1) as i8 + 1;
             let isometry = uniform(c, shape.isometries, usize::from(isometry));
             let domain: [usize; D] = std::array::from_fn(|a| {
                 if near {

@@ -4,7 +4,6 @@ use super::grid::{Grid, points, strides};
 use super::ifs::{Ifs, SAMPLES_MAX};
 use super::isometry::Isometry;
 use super::iterate::Stop;
-use super::scale::scale;
 use crate::{Error, Result};
 
 /// Greatest depth of a walk: a sample is divided 2^24 times along each axis.
@@ -76,7 +75,7 @@ impl<const D: usize> Walk<D> {
         for leaf in &ifs.leaves {
             let side = shape.side(usize::from(leaf.level));
             let domain = leaf.domain.map(|p| u32::from(p) * shape.jump as u32);
-            let s = scale(leaf.scale);
+            let s = shape.scales().scale(leaf.scale);
             let mut offset = shape.mean(leaf.mean);
             if leaf.scale != 0 {
                 block.resize(side.pow(D as u32), 0.0);

@@ -28,6 +28,7 @@ mod tests;
 use super::domains::Domains;
 use super::grid::Grid;
 use super::isometry::Isometry;
+use super::scale::Scales;
 use crate::work::{self, Workers};
 use crate::{Error, Result};
 use frame::Frame;
@@ -68,13 +69,15 @@ pub struct Level<'a, const D: usize> {
     pub domains: Domains<D>,
     /// The orientations that they are tried in.
     pub isometries: &'a [Isometry<D>],
+    /// The levels of s.
+    pub scales: Scales,
 }
 
 /// Ranges that are one part of the work where little is to be done with each.
 const RANGES: usize = 512;
 
-/// Multiplications in f32 between two questions whether to go on: some tenths of a second.
-const BATCH: usize = 4_000_000_000;
+/// Multiplications in f32 between two questions whether to go on: some tenths of a second. In tests small grids shall fall into parts as well.
+const BATCH: usize = if cfg!(test) { 100_000 } else { 4_000_000_000 };
 
 impl<const D: usize> Level<'_, D> {
     /// The best match of each range, by its corner; `None` where nothing beats the flat range. Of equal ones that of the first domain, then of the first
@@ -122,7 +125,7 @@ impl<const D: usize> Level<'_, D> {
     pub fn pairs(&self, ranges: &[[usize; D]], search: Search) -> u64 {
         let orders = self.isometries.len() as u64;
         match search {
-            Search::Exact => (ranges.len() * self.domains.len()) as u64 * orders,
+            Search::Exact => ranges.len() as u64 * self.domains.len() as u64 * orders,
             Search::Near(width) => {
                 let near = |range: &[usize; D]| self.domains.near(*range, width).1;
                 ranges.iter().map(|r| near(r).iter().product::<usize>() as u64 * orders).sum()

@@ -1,7 +1,6 @@
 //! The plain form of the search: every pair in f64. What the quick form must equal, and what is left for ranges beyond the reach of f32.
 
 use super::super::grid::points;
-use super::super::scale;
 use super::frame::Frame;
 use super::sought::{Best, Sought};
 use super::{Match, Search};
@@ -30,8 +29,8 @@ pub fn search<const D: usize>(frame: &Frame<D>, range: [usize; D], search: Searc
             }
             turned.iter_mut().zip(places).for_each(|(t, p)| *t = r[*p as usize]);
             let rd = turned.iter().zip(&d).map(|(a, b)| a * b).sum::<f64>();
-            let scale = scale::nearest(rd, dd);
-            let error = scale::error(scale, rr, rd, dd);
+            let scale = level.scales.nearest(rd, dd);
+            let error = level.scales.error(scale, rr, rd, dd);
             if scale != 0 && error < best.map_or(rr, |b| b.error) {
                 best = Some(Match { domain: place, isometry, scale, error });
             }

@@ -2,9 +2,8 @@
 
 use super::Match;
 use super::frame::Frame;
-use super::screen::{self, Measure, ROOM};
+use super::screen::{Answer, Measure, Question, ROOM};
 use super::strip::{LANES, Strip};
-use crate::fractal::scale;
 
 /// The best match so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +56,7 @@ impl<const D: usize> Sought<D> {
         })
     }
 
-    /// Meets the domains of some lanes of a strip in some poses. `gains` is room to work in.
+    /// Meets the domains of some lanes of a strip in some poses. `answer` is room to work in.
     pub fn meet(
         &mut self,
         frame: &Frame<D>,
@@ -65,19 +64,25 @@ impl<const D: usize> Sought<D> {
         chosen: &[usize],
         strip: &Strip,
         lanes: std::ops::Range<usize>,
-        gains: &mut Vec<f32>,
+        answer: &mut Answer,
     ) {
-        gains.resize(lanes.len().next_multiple_of(LANES), 0.0);
-        let measure = Measure::new(&frame.poses, range.length);
-        let greatest = screen::gains(&frame.poses, range, chosen, measure, strip, lanes.start, gains);
-        if greatest <= self.needed() {
-            return;
-        }
-        for (lane, gain) in lanes.zip(gains) {
-            if *gain > self.needed() {
-                self.try_lane(frame, range, chosen, strip, lane, measure);
+        let measure = Measure::new(&frame.poses, range.length, frame.level.scales);
+        let (at, needed) = (lanes.start, self.needed());
+        let question = Question { poses: &range.poses, chosen, measure, strip, at, needed };
+        question.answer(&frame.poses, lanes.len(), answer);
+        for first in &answer.enough {
+            for (k, gain) in answer.gains[*first..][..LANES].iter().enumerate() {
+                if *gain > self.needed() && lanes.contains(&(at + first + k)) {
+                    self.try_lane(frame, range, chosen, strip, at + first + k, measure);
+                }
             }
         }
+    }
+
+    /// Whether domains of a strip, in the order of their lengths, may beat the best.
+    #[inline]
+    pub fn may_gain(&self, frame: &Frame<D>, range: &Range, strip: &Strip) -> bool {
+        Measure::new(&frame.poses, range.length).most(strip.lengths[0], strip.longest()) > self.needed()
     }
 
     /// What a pair must gain, as it is screened, to be tried.
@@ -122,8 +127,8 @@ impl<const D: usize> Sought<D> {
         let values = &frame.level.half.values[frame.first(domain)..];
         let pairs = frame.places[isometry].iter().zip(&frame.offsets);
         let product = pairs.map(|(p, o)| range.block[*p as usize] * (values[*o] - mean)).sum::<f64>();
-        let scale = scale::nearest(product, squares);
-        let error = scale::error(scale, self.squares, product, squares);
+        let scale = frame.level.scales.nearest(product, squares);
+        let error = frame.level.scales.error(scale, self.squares, product, squares);
         let better = match self.best {
             None => error < self.squares,
             Some(b) => error < b.error || error == b.error && (domain, isometry) < (b.domain, b.isometry),

@@ -5,6 +5,7 @@ use super::{Level, Match, Search, plain};
 use crate::fractal::domains::Domains;
 use crate::fractal::grid::{Grid, points};
 use crate::fractal::isometry::group;
+use crate::fractal::scale::Scales;
 use crate::work::{Alone, Workers};
 use crate::{Error, Result};
 use proptest::prelude::*;
@@ -93,7 +94,7 @@ fn agree<const D: usize>(grid: &Grid<D>, side: usize, jump: usize, order: usize,
     let half = grid.half();
     let isometries = group::<D>(order).unwrap();
     let domains = Domains::new(grid.size, side, jump);
-    let level = Level { grid, half: &half, domains, isometries: &isometries };
+    let level = Level { grid, half: &half, domains, isometries: &isometries, scales: Scales::of_bits(5) };
     let ranges = ranges(grid.size, side, seed);
     let frame = Frame::new(&level, search);
     let want: Vec<Option<Match<D>>> = ranges.iter().map(|r| plain::search(&frame, *r, search)).collect();
@@ -176,8 +177,13 @@ fn a_constant_grid_has_no_matches() {
     let grid = Grid::filled([32, 32], 5.0);
     let half = grid.half();
     let isometries = group::<2>(8).unwrap();
-    let level =
-        Level { grid: &grid, half: &half, domains: Domains::new([32, 32], 4, 4), isometries: &isometries };
+    let level = Level {
+        grid: &grid,
+        half: &half,
+        domains: Domains::new([32, 32], 4, 4),
+        isometries: &isometries,
+        scales: Scales::of_bits(5),
+    };
     assert!(level.search(&[[0, 0], [4, 8]], Search::Exact, &Alone).unwrap().iter().all(Option::is_none));
     assert!(level.search(&[], Search::Exact, &Alone).unwrap().is_empty());
 }
@@ -197,8 +203,13 @@ fn a_search_can_be_stopped() {
     let grid = grid([64, 64], Ground::Rough, 1);
     let half = grid.half();
     let isometries = group::<2>(8).unwrap();
-    let level =
-        Level { grid: &grid, half: &half, domains: Domains::new([64, 64], 4, 4), isometries: &isometries };
+    let level = Level {
+        grid: &grid,
+        half: &half,
+        domains: Domains::new([64, 64], 4, 4),
+        isometries: &isometries,
+        scales: Scales::of_bits(5),
+    };
     let ranges = ranges([64, 64], 4, 1);
     for search in [Search::Exact, Search::Classes, Search::Near(8)] {
         let found: Result<_> = level.search(&ranges, search, &Impatient(AtomicUsize::new(0)));
@@ -211,7 +222,12 @@ fn classes_are_of_the_plane() {
     let grid = grid([8, 8, 8], Ground::Rough, 1);
     let half = grid.half();
     let isometries = group::<3>(1).unwrap();
-    let level =
-        Level { grid: &grid, half: &half, domains: Domains::new([8; 3], 2, 2), isometries: &isometries };
+    let level = Level {
+        grid: &grid,
+        half: &half,
+        domains: Domains::new([8; 3], 2, 2),
+        isometries: &isometries,
+        scales: Scales::of_bits(5),
+    };
     assert!(level.search(&[[0; 3]], Search::Classes, &Alone).is_err());
 }
