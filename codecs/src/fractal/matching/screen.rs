@@ -62,7 +62,7 @@ impl Measure {
     pub fn most(&self, short: f32, long: f32) -> f32 {
         // Room for the roundings.
         let (low, high) = (self.levels / long * 0.999_99, self.levels / short * 1.000_01);
-        let level = high.min(LEVELS) as i32;
+        let level = high.min(self.max) as i32;
         if level >= 1 && level as f32 >= low {
             return f32::INFINITY;
         }

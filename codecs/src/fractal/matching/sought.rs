@@ -82,7 +82,8 @@ impl<const D: usize> Sought<D> {
     /// Whether domains of a strip, in the order of their lengths, may beat the best.
     #[inline]
     pub fn may_gain(&self, frame: &Frame<D>, range: &Range, strip: &Strip) -> bool {
-        Measure::new(&frame.poses, range.length).most(strip.lengths[0], strip.longest()) > self.needed()
+        Measure::new(&frame.poses, range.length, frame.level.scales).most(strip.lengths[0], strip.longest())
+            > self.needed()
     }
 
     /// What a pair must gain, as it is screened, to be tried.
