@@ -187,7 +187,7 @@ fn polygons_and_places_without_data_are_voids() {
             }
         }
         assert!(found <= number(&json, "error_m"), "{found}: {json}");
-        assert_eq!((json["samples"].as_u64(), Some(inside)), (Some(inside), json["samples"].as_u64()));
+        assert_eq!(json["samples"].as_u64(), Some(inside));
         assert!(inside > 1000 && json["voids"].as_u64() > Some(1000), "{json}");
         // Around the surveys nothing lies.
         let [xmin, ymin, xmax, ymax] = surveys;
@@ -204,7 +204,7 @@ fn polygons_and_places_without_data_are_voids() {
 #[test]
 fn an_arrival_changes_no_more_than_its_surroundings() {
     let (folder, db) = helens(false);
-    let far = ["--error", "4", "--step", "10", "--bbox", "562000,5114000,563300,5114600"];
+    let far = ["--error", "4", "--step", "10", "--bbox", "561500,5118600,562800,5119300"];
     let near = ["--error", "4", "--step", "10", "--bbox", DOME];
     let [far_before, near_before] = [far, near].map(|a| exported(folder.path(), &db, &a).0);
     arrives(&db, "2004-10-04", "0.5");
