@@ -64,3 +64,5 @@ pub const FRACTAL_POSTS_MAX: u64 = 16 << 20;
 pub const FRACTAL_FAR_POSTS_MAX: u64 = 1 << 20;
 /// Bytes of one GTB file.
 pub const GTB_BYTES_MAX: u64 = 1 << 30;
+/// Bytes of one file with a triangle mesh.
+pub const MESH_FILE_BYTES_MAX: u64 = 1 << 30;

@@ -17,8 +17,8 @@ const NUMBERS: usize = if cfg!(test) { 5000 } else { 4 << 20 };
 /// Numbers of the domains of a strip, what the nearest memory holds; and the most domains.
 const STRIP: (usize, usize) = (4096, 256);
 
-/// Numbers of the ranges of one part of the work, in one pose; and the most ranges.
-const PART: (usize, usize) = (16_384, 64);
+/// Numbers of the ranges of one part of the work, in one pose; the fewest and the most ranges.
+const PART: (usize, usize, usize) = (16_384, 8, 64);
 
 /// Domains of one part of the work.
 const DOMAINS: usize = 1024;
@@ -33,7 +33,7 @@ pub fn search<const D: usize>(
     let domains = frame.level.domains.len();
     // Besides its samples a domain takes the room of some 16.
     let chunk = (NUMBERS / (rows + 16)).max(LANES);
-    let part = (PART.0 / rows).clamp(1, PART.1);
+    let part = (PART.0 / rows).clamp(PART.1, PART.2);
     sought.sort_by(|a, b| f64::total_cmp(&a.squares, &b.squares));
     for begin in (0..domains).step_by(chunk) {
         let end = domains.min(begin + chunk);
