@@ -78,11 +78,12 @@ fn doubled_triangles_cancel() {
     assert_eq!((found.triangles.len(), said.doubled), (12, 12));
     assert!(said.is_closed());
     // A flap: out from an edge and back.
+    let alone = mended(&sound).unwrap().0.triangles;
     mesh = sound.clone();
     mesh.positions.push([-3.0, 0.0, 0.0]);
     mesh.triangles.extend([[0, 4, 8], [8, 4, 0]]);
     let (found, said) = mended(&mesh).unwrap();
-    assert_eq!((found.triangles, said.doubled, said.crowded_edges), (sound.triangles, 2, 0));
+    assert_eq!((found.triangles, said.doubled, said.crowded_edges), (alone, 2, 0));
     mesh.triangles.drain(..12);
     let said = mended(&mesh).unwrap_err().to_string();
     assert!(said.contains("2 lie back to back"), "{said}");
