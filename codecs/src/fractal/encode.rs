@@ -183,12 +183,15 @@ pub fn encode_heights(
     };
     header.check()?;
     let file = |partition: Partition| -> Result<Encoded> {
+        let go_on = || crate::work::check(workers, 1.0);
         let plan = candidates.plan(partition)?;
+        go_on()?;
         let mut c = Encoder::new();
         if header.mask {
             mask::code(&mut heights.void.clone(), heights.cols, &mut c);
         }
         let ifs = tree::code(&shape, &plan, &mut c);
+        go_on()?;
         if let Some(e) = header.bound {
             let rec = ifs.rounded(header.seed(), Stop::PUBLISHED)?;
             let stride = shape.padded()[0];
@@ -199,9 +202,12 @@ pub fn encode_heights(
                 let off = i64::from(*z) - i64::from(rec[at]);
                 q[at] = (off.signum() * ((off.abs() + i64::from(e)) / step)) as i32;
             }
+            go_on()?;
             residual::code(&mut q, stride, size, &heights.void, &mut c);
         }
+        go_on()?;
         sealed(header.clone(), ifs.maps(), c.finish(), |tile| {
+            go_on()?;
             let errors = |k: usize, v: f64| {
                 if heights.is_void(k) { None } else { Some((v - f64::from(heights.z[k])).abs()) }
             };
