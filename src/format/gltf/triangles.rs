@@ -109,7 +109,7 @@ impl<'a> Source<'a> {
         for (k, buffer) in self.document.buffers.iter().enumerate() {
             let found: Cow<[u8]> = match &buffer.uri {
                 None => Cow::Borrowed(self.bin.filter(|_| k == 0).unwrap_or_default()),
-                Some(uri) => Cow::Owned(self.from_uri(k, uri)?),
+                Some(uri) => Cow::Owned(self.named_bytes(k, uri)?),
             };
             let has = found.len() as u64;
             // A buffer without bytes is the fallback of a compressed one; a view of it is refused.
@@ -129,7 +129,7 @@ impl<'a> Source<'a> {
         Ok(())
     }
 
-    fn from_uri(&self, k: usize, uri: &str) -> Result<Vec<u8>> {
+    fn named_bytes(&self, k: usize, uri: &str) -> Result<Vec<u8>> {
         if let Some(data) = uri.strip_prefix("data:") {
             let place = || format!("buffer {k}");
             let (_, text) =

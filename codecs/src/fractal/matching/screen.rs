@@ -190,12 +190,13 @@ fn products<const P: usize, const Q: usize>(
     let poses = poses.map(|p| &p[..count]);
     let mut rows = strip.samples.chunks_exact(strip.stride);
     for k in 0..count {
+        let ranges = poses.map(|p| &p[k]);
         for p in 0..P {
             let Some(row) = rows.next() else { return sums };
             let domains = &row[at..at + LANES];
             for q in 0..Q {
                 for l in 0..LANES {
-                    sums[q][p][l] += poses[q][k][p] * domains[l];
+                    sums[q][p][l] += ranges[q][p] * domains[l];
                 }
             }
         }

@@ -106,16 +106,26 @@ impl<const D: usize> Sought<D> {
         let (length, inverse) = (strip.lengths[lane], strip.inverses[lane]);
         for p in chosen {
             let mut parts = [0.0_f32; 8];
-            for (k, r) in range.poses[p * poses.rows..][..poses.rows].iter().enumerate() {
-                parts[k % poses.parts] += r * strip.samples[k * strip.stride + lane];
+            let mut at = lane;
+            for some in range.poses[p * poses.rows..][..poses.rows].chunks_exact(poses.parts) {
+                for (sum, r) in parts.iter_mut().zip(some) {
+                    *sum += r * strip.samples[at];
+                    at += strip.stride;
+                }
             }
-            for (mirrors, isometry) in poses.poses[*p].isometries.iter().enumerate() {
+            if poses.mirrors {
+                for axis in (0..D).map(|a| 1 << a) {
+                    for k in (0..1 << D).filter(|k| k & axis == 0) {
+                        (parts[k], parts[k | axis]) =
+                            (parts[k] + parts[k | axis], parts[k] - parts[k | axis]);
+                    }
+                }
+            } else {
+                parts[0] = parts.iter().sum();
+            }
+            for (isometry, correlation) in poses.poses[*p].isometries.iter().zip(parts) {
                 let Some(isometry) = *isometry else { continue };
-                let signed = parts.iter().enumerate().map(|(part, v)| {
-                    if poses.mirrors && (part & mirrors).count_ones() % 2 == 1 { -v } else { *v }
-                });
-                let correlation = signed.sum::<f32>().abs();
-                if measure.gain(correlation, length, inverse) > self.needed() {
+                if measure.gain(correlation.abs(), length, inverse) > self.needed() {
                     self.try_pair(frame, range, strip, lane, isometry);
                 }
             }

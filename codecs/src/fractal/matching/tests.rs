@@ -81,7 +81,7 @@ fn ranges<const D: usize>(size: [usize; D], side: usize, mut seed: u64) -> Vec<[
     let mut all: Vec<[usize; D]> = points(size.map(|n| n / side)).map(|p| p.map(|v| v * side)).collect();
     for k in 0..all.len() {
         let other = random(&mut seed) as usize % all.len();
-        if random(&mut seed) % 4 == 0 {
+        if random(&mut seed).is_multiple_of(4) {
             all[k] = all[other];
         } else {
             all.swap(k, other);
