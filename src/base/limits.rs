@@ -58,5 +58,9 @@ pub const OPERATION_BYTES_MAX: usize = 200;
 pub const FILES_MAX: u64 = 1000;
 /// Posts along a side of a lattice that is coded as GTB.
 pub const LATTICE_SIDE_MAX: u64 = 8193;
+/// Posts of the surface that are coded as one fractal tile: some 200 bytes of memory a post while it is made.
+pub const FRACTAL_POSTS_MAX: u64 = 16 << 20;
+/// Posts of a fractal tile whose search meets domains far away: its time goes by their square.
+pub const FRACTAL_FAR_POSTS_MAX: u64 = 1 << 20;
 /// Bytes of one GTB file.
 pub const GTB_BYTES_MAX: u64 = 1 << 30;

@@ -6,6 +6,7 @@ use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::reader::Reader;
 use super::remote::Remote;
 use super::stream::StreamArgs;
+use super::tile::{self, TileArgs};
 use crate::base::{Error, Result, limits};
 use crate::client;
 use crate::db::query::Query;
@@ -19,10 +20,10 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-/// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief, .gtb stream
+/// Write the surface of a region to a file: .glb mesh, .tif heights, .png relief, .gtb stream, .ifs fractal tile
 #[derive(Args)]
 #[command(
-    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills small.glb --error 2 --quantize\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills hills.gtb --error 2      # a stream: whole after any byte, errors at posts certified\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
+    after_help = "Examples:\n  terraquilt export hills hills.glb --error 2 --bbox 500000,4100000,502000,4102000\n  terraquilt export hills small.glb --error 2 --quantize\n  terraquilt export hills hills.tif --error 0 --step 10\n  terraquilt export hills hills.png --error 5\n  terraquilt export hills hills.gtb --error 2      # a stream: whole after any byte, errors at posts certified\n  terraquilt export hills hills.ifs --error 2      # a fractal tile: maps, and a residual that keeps the bound\n  terraquilt export hills small.ifs --error 2 --maps 5000      # maps alone: their error is measured\n  terraquilt export hills lidar.tif --survey lidar-2025      # as it was delivered, bit for bit"
 )]
 #[command(mut_arg("error", |a| a.required_unless_present_any(["eye", "error_raster", "focus", "survey"])))]
 pub struct Export {
@@ -43,15 +44,17 @@ pub struct Export {
     /// With --survey: this tile, by file name or key
     #[arg(long, value_name = "T", requires = "survey")]
     tile: Option<String>,
-    /// .tif, .png and .gtb: pixel size, or spacing of posts, in units of the CRS, or of --coords (X or X,Y); the posts of a .gtb
-    /// lie at whole multiples of it. Without it a .tif or .gtb is as fine as the finest survey there, its pixels on the posts
-    /// of one that lies north-up
+    /// .tif, .png, .gtb and .ifs: pixel size, or spacing of posts, in units of the CRS, or of --coords (X or X,Y); the posts of
+    /// a .gtb or .ifs lie at whole multiples of it. Without it a .tif, .gtb or .ifs is as fine as the finest survey there, its
+    /// pixels on the posts of one that lies north-up
     #[arg(long, value_name = "X[,Y]")]
     step: Option<String>,
     #[command(flatten)]
     packing: Packing,
     #[command(flatten)]
     stream: StreamArgs,
+    #[command(flatten)]
+    fractal: TileArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -71,10 +74,14 @@ impl Export {
         let ending =
             self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         self.packing().only_for_glb(&ending)?;
+        let tile = self.fractal.choice(self.stream.bound, self.stream.unit);
         if ending == "gtb" && self.survey.is_none() {
+            self.fractal.only_for_ifs(&ending)?;
             return self.stream(&reader);
         }
-        self.stream.only_for_gtb()?;
+        let is_tile = ending == "ifs" && self.survey.is_none();
+        self.stream.only_for_gtb(is_tile)?;
+        self.fractal.only_for_ifs(if is_tile { "ifs" } else { &ending })?;
         if let Some(name) = &self.survey {
             if Form::of_ending(&ending) != Some(Form::GeoTiff) {
                 return Err(Error::invalid(
@@ -112,7 +119,7 @@ impl Export {
                 } else {
                     format!("ending '.{ending}' is no format that is written")
                 },
-                "name a .glb, .tif, .png or .gtb file",
+                "name a .glb, .tif, .png, .gtb or .ifs file",
             )
         })?;
         let ground = reader.ground()?;
@@ -120,7 +127,9 @@ impl Export {
         let query = self.tolerance.inner.query(&place, ground, form.seams())?;
         let s = match &reader {
             Reader::Disk(_, s) => s,
-            Reader::Server(r) => return self.ask(r, form, self.request(form, &place, &query)?),
+            Reader::Server(r) => {
+                return self.ask(r, form, tile::asked(self.request(form, &place, &query)?, &tile));
+            }
         };
         let request = FileRequest {
             form,
@@ -128,7 +137,9 @@ impl Export {
             query,
             step: self.step()?,
             packing: self.packing(),
+            tile,
             pixels_max: limits::RASTER_POSTS_MAX,
+            far_posts_max: limits::FRACTAL_FAR_POSTS_MAX,
         };
         let written = write_file(&self.out, |out, going| write_surface(out, s, &request, going))?;
         self.told(written, Some(&request))
@@ -232,6 +243,7 @@ impl Export {
         }
         let text = match written {
             Written::Mesh(m) => mesh::text(m),
+            Written::Tile(t) => tile::text(t),
             Written::Samples { posts, .. } => format!("{} posts as delivered", count(*posts)),
             Written::Raster { cols, rows, error_m, .. } => match form {
                 Form::Png => format!("{cols} x {rows} pixels, coloured by patch size"),
@@ -256,6 +268,7 @@ fn wire_format(form: Form) -> v1::file_request::Format {
         Form::Glb => v1::file_request::Format::Glb,
         Form::GeoTiff => v1::file_request::Format::Geotiff,
         Form::Png => v1::file_request::Format::Png,
+        Form::Ifs => v1::file_request::Format::Ifs,
     }
 }
 

@@ -21,6 +21,7 @@ mod reader;
 mod remote;
 mod send;
 mod stream;
+mod tile;
 mod tolerance;
 mod upkeep;
 

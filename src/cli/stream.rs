@@ -34,13 +34,13 @@ pub struct StreamArgs {
     /// (2E + 1 must divide, in units) the nearest that do are taken
     #[arg(long, value_name = "A,B,C", conflicts_with = "bound")]
     layers: Option<String>,
-    /// .gtb: the codec's bound in metres; the surface gets the rest of --error. Without it the surface is asked for half of
-    /// --error, and the codec takes what is left; with other tolerances it takes the least error of the surface there
+    /// .gtb and .ifs: the codec's bound in metres; the surface gets the rest of --error. Without it the surface is asked for half
+    /// of --error, and the codec takes what is left; with other tolerances it takes the least error of the surface there
     #[arg(long, value_name = "M")]
-    bound: Option<f64>,
-    /// .gtb: metres of a unit. Without it a power of ten, a tenth of the codec's bound at most, and a millimetre at least
+    pub bound: Option<f64>,
+    /// .gtb and .ifs: metres of a unit. Without it a power of ten, a tenth of the codec's bound at most, and a millimetre at least
     #[arg(long, value_name = "U")]
-    unit: Option<f64>,
+    pub unit: Option<f64>,
     /// .gtb of a directory: a picture of the ground (GeoTIFF or PNG) that travels along as texture
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
@@ -62,19 +62,19 @@ type To<'a> = (&'a PathBuf, bool);
 
 impl StreamArgs {
     /// # Errors
-    /// If one of them is given.
-    pub fn only_for_gtb(&self) -> Result<()> {
+    /// If one of them is given for a file of another kind; bound and unit are a fractal tile's (`is_tile`) too.
+    pub fn only_for_gtb(&self, is_tile: bool) -> Result<()> {
         let given = [
-            ("--profile", self.profile.is_some()),
-            ("--layers", self.layers.is_some()),
-            ("--bound", self.bound.is_some()),
-            ("--unit", self.unit.is_some()),
-            ("--image", self.image.is_some()),
-            ("--resume", self.resume),
+            ("--profile", self.profile.is_some(), ".gtb"),
+            ("--layers", self.layers.is_some(), ".gtb"),
+            ("--bound", self.bound.is_some() && !is_tile, ".gtb and .ifs"),
+            ("--unit", self.unit.is_some() && !is_tile, ".gtb and .ifs"),
+            ("--image", self.image.is_some(), ".gtb"),
+            ("--resume", self.resume, ".gtb"),
         ];
-        match given.iter().find(|(_, given)| *given) {
-            Some((name, _)) => {
-                Err(Error::invalid(name, "is for .gtb files; name such a file, or leave it out"))
+        match given.iter().find(|(_, given, _)| *given) {
+            Some((name, _, kinds)) => {
+                Err(Error::invalid(name, format!("is for {kinds} files; name such a file, or leave it out")))
             }
             None => Ok(()),
         }
@@ -135,7 +135,8 @@ impl StreamArgs {
         }
         let choice = self.choice()?;
         let begun = if self.resume { begun(to.0)? } else { Vec::new() };
-        let named = Header::read(&begun).ok().and_then(|(h, _)| version_of(&h)).filter(|_| at.is_none());
+        let named =
+            Header::read(&begun).ok().and_then(|(h, _)| version_of(&h.place)).filter(|_| at.is_none());
         let request = v1::SurfaceRequest {
             region: asked.region,
             tolerance: asked.tolerance,

@@ -1,5 +1,6 @@
 //! One file: the surface of a region as a mesh, heights or a picture; a survey's own samples.
 
+use super::fractal::{self, TileRequest, TileTold};
 use super::mesh::{MeshFound, Packing, write_mesh};
 use super::place::{Place, whereabouts};
 use super::raster::Raster;
@@ -29,6 +30,8 @@ pub enum Form {
     GeoTiff,
     /// A shaded relief, coloured by patch size.
     Png,
+    /// A fractal tile of heights.
+    Ifs,
 }
 
 impl Form {
@@ -38,6 +41,7 @@ impl Form {
             "glb" => Some(Form::Glb),
             "tif" | "tiff" => Some(Form::GeoTiff),
             "png" => Some(Form::Png),
+            "ifs" => Some(Form::Ifs),
             _ => None,
         }
     }
@@ -47,12 +51,13 @@ impl Form {
             Form::Glb => "glb",
             Form::GeoTiff => "tif",
             Form::Png => "png",
+            Form::Ifs => "ifs",
         }
     }
 
     /// What is done where surveys disagree, unless it is said: what is looked at is bent, what is measured is not.
     pub fn seams(self) -> Seams {
-        if self == Form::GeoTiff { Seams::Off } else { Seams::All }
+        if matches!(self, Form::GeoTiff | Form::Ifs) { Seams::Off } else { Seams::All }
     }
 }
 
@@ -61,11 +66,15 @@ pub struct FileRequest {
     pub form: Form,
     pub place: Place,
     pub query: Query,
-    /// Pixel sizes; `None`: as fine as the finest survey for GeoTIFF, 1600 pixels along the longer side for PNG.
+    /// Pixel sizes, spacing of posts; `None`: as fine as the finest survey for GeoTIFF and tiles, 1600 pixels along the longer side for
+    /// PNG.
     pub step: Option<[f64; 2]>,
     pub packing: Packing,
-    /// Pixels it may have.
+    pub tile: fractal::Choice,
+    /// Pixels or posts that it may have.
     pub pixels_max: u64,
+    /// Posts that a tile may have whose ranges meet domains far away.
+    pub far_posts_max: u64,
 }
 
 /// What there is to say of a file.
@@ -73,6 +82,8 @@ pub struct FileRequest {
 #[serde(untagged)]
 pub enum Written {
     Mesh(MeshFound),
+    // Before what has fewer members: the first that fits is read.
+    Tile(Box<TileTold>),
     Raster { cols: usize, rows: usize, error_m: f64, seams: String },
     Samples { posts: u64, masked_posts: u64 },
 }
@@ -109,6 +120,7 @@ impl Written {
                     ));
                 }
             }
+            Written::Tile(t) => out = t.notes(tolerance),
             Written::Samples { masked_posts, .. } if *masked_posts > 0 => out.push(format!(
                 "{masked_posts} posts were void by a mask in the delivered file; their samples are written as they were, the \
                  mask is not, so another program will take them for heights"
@@ -130,6 +142,10 @@ pub fn write_surface(
     going: Going,
 ) -> Result<Written> {
     r.packing.only_for_glb(r.form.ending())?;
+    r.tile.only_for_ifs(r.form.ending())?;
+    if r.form == Form::Ifs {
+        return ifs(out, s, r, going);
+    }
     if s.select(&r.query)?.records.is_empty() {
         let reason = format!("holds no data; {}", whereabouts(s.crs(), s.bounds(), r.place.coords.as_ref()));
         return Err(Error::invalid("region", reason));
@@ -152,6 +168,21 @@ pub fn write_surface(
         _ => png(out, s, &r.query, &raster, going)?,
     };
     Ok(Written::Raster { cols, rows, error_m, seams: r.query.how.seams.name().into() })
+}
+
+/// Writes a fractal tile.
+fn ifs(out: &mut impl Write, s: &Snapshot, r: &FileRequest, going: Going) -> Result<Written> {
+    let request = TileRequest {
+        place: &r.place,
+        query: &r.query,
+        step: r.step,
+        choice: &r.tile,
+        posts_max: r.pixels_max,
+        far_posts_max: r.far_posts_max,
+    };
+    let (bytes, told) = fractal::tile(s, &request, going)?;
+    out.write_all(&bytes).map_err(|e| Error::io(OUT, e))?;
+    Ok(Written::Tile(Box::new(told)))
 }
 
 /// The patch sizes drawn red and blue (log2 of metres): those in the picture, at least four octaves apart, so that sizes

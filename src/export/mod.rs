@@ -12,14 +12,18 @@ pub mod fractal;
 pub mod gtb;
 mod mesh;
 mod place;
+mod posts;
 mod raster;
+mod shares;
 mod stream;
 
 pub use file::{FileRequest, Form, Written, write_samples, write_surface};
 pub use mesh::{MeshFound, Packing, write_mesh};
 pub use place::{Coords, Place, whereabouts};
+pub use posts::version_of;
 pub use raster::Raster;
-pub use stream::{Choice, Refined, Stream, StreamRequest, Told, stream, version_of};
+pub use shares::Choice;
+pub use stream::{Refined, Stream, StreamRequest, Told, stream};
 
 use crate::base::{Error, Result};
 

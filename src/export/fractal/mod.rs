@@ -1,9 +1,12 @@
 //! Fractal tiles (`docs/fractal-format.md`): of the surface, and of files.
 //!
 //! - [`Threads`]: the threads of the current pool, at work for the codec
+//! - [`tile()`]: the surface of a region as a tile, [`Choice`]: what a caller may choose of it, [`TileTold`]: what there is to say of it
 
+mod surface;
 mod workers;
 
+pub use surface::{Choice, TileRequest, TileTold, search_name, search_of, tile};
 pub use workers::Threads;
 
 use crate::base::Error;

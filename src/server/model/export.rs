@@ -4,14 +4,19 @@ use super::{area, how, tolerance};
 use crate::base::{Error, Result, limits};
 use crate::db::Snapshot;
 use crate::db::query::{Area, Query, Tolerance};
+use crate::export::fractal::{Choice, search_of};
 use crate::export::{Coords, FileRequest, Form, Packing, Place};
 use crate::height::crs::AxisUnit;
 use crate::wire::v1;
-use crate::wire::v1::file_request::Format;
+use crate::wire::v1::file_request::{Format, Search as Asked};
 use std::sync::Arc;
 
 /// Pixels of a picture: it is held in memory while it is drawn.
 const PICTURE_PIXELS_MAX: u64 = 64_000_000;
+/// Posts of a fractal tile: some 200 bytes of memory a post while it is made.
+const TILE_POSTS_MAX: u64 = 2049 * 2049;
+/// Those whose ranges meet domains far away.
+const TILE_FAR_POSTS_MAX: u64 = 513 * 513;
 
 /// What is to be written.
 pub enum File {
@@ -29,12 +34,18 @@ pub fn file(r: &v1::FileRequest, s: &Snapshot, pixels_max: u64) -> Result<File> 
         .map_err(|_| Error::invalid("format", format!("{} is none that this server knows", r.format)))?;
     let form = match known {
         Format::Unspecified => {
-            return Err(Error::invalid("format", "is missing; say FORMAT_GLB, FORMAT_GEOTIFF or FORMAT_PNG"));
+            return Err(Error::invalid(
+                "format",
+                "is missing; say FORMAT_GLB, FORMAT_GEOTIFF, FORMAT_PNG or FORMAT_IFS",
+            ));
         }
         Format::Glb => Form::Glb,
         Format::Geotiff => Form::GeoTiff,
         Format::Png => Form::Png,
+        Format::Ifs => Form::Ifs,
     };
+    let tile = tile(r)?;
+    tile.only_for_ifs(form.ending())?;
     let packing = Packing { quantize: r.quantize, meshopt: r.meshopt };
     packing.only_for_glb(form.ending())?;
     let text = |t: &str| (!t.is_empty()).then(|| t.to_string());
@@ -66,6 +77,7 @@ pub fn file(r: &v1::FileRequest, s: &Snapshot, pixels_max: u64) -> Result<File> 
     let query = Query { area: place.area.clone(), ..query };
     let pixels_max = match form {
         Form::Png => pixels_max.min(PICTURE_PIXELS_MAX),
+        Form::Ifs => pixels_max.min(TILE_POSTS_MAX),
         _ => pixels_max.min(limits::RASTER_POSTS_MAX),
     };
     Ok(File::Surface(Box::new(FileRequest {
@@ -74,8 +86,23 @@ pub fn file(r: &v1::FileRequest, s: &Snapshot, pixels_max: u64) -> Result<File> 
         query,
         step: step([r.step_x, r.step_y])?,
         packing,
+        tile,
         pixels_max,
+        far_posts_max: TILE_FAR_POSTS_MAX,
     })))
+}
+
+/// What is chosen of a fractal tile.
+fn tile(r: &v1::FileRequest) -> Result<Choice> {
+    let unknown = |_| Error::invalid("search", format!("{} is none that this server knows", r.search));
+    let name = match Asked::try_from(r.search).map_err(unknown)? {
+        Asked::Unspecified => None,
+        Asked::Near => Some("near"),
+        Asked::Classes => Some("classes"),
+        Asked::Exact => Some("exact"),
+    };
+    let unit = (r.unit_m != 0.0).then_some(r.unit_m);
+    Ok(Choice { bound: r.bound_m, maps: r.maps, unit, search: name.and_then(search_of) })
 }
 
 /// Steps along both axes; 0: absent.

@@ -3,20 +3,17 @@
 //! The surface is taken at the posts of a lattice; errors are those at posts. What lies outside of a polygon or has no data is a
 //! void.
 
-mod shares;
-
-pub use shares::Choice;
-use shares::{Settled, Shares};
-
 use super::drape::{Drape, Square};
 use super::gtb;
-use super::place::{Place, whereabouts};
-use super::raster::{Met, Raster, finest_step};
+use super::place::Place;
+use super::posts::{Posts, nothing, rim_note};
+use super::raster::{Met, Raster};
+use super::shares::{Choice, Settled, Shares};
 use super::{Going, go_on};
 use crate::base::{Error, Result, limits};
-use crate::codec::held::{self, Posts};
+use crate::codec::held;
+use crate::db::Snapshot;
 use crate::db::query::Query;
-use crate::db::{self, Snapshot};
 use crate::format::picture::Picture;
 use crate::height::source::Affine;
 use serde::{Deserialize, Serialize};
@@ -101,32 +98,19 @@ pub fn stream(
     let shares = Shares::new(&r.query.tolerance, &r.choice)?;
     let query = Query { tolerance: shares.surface.clone(), ..r.query.clone() };
     if s.select(&query)?.records.is_empty() {
-        return Err(nothing(s, r));
+        return Err(nothing(s, &r.place));
     }
-    let (raster, posts) = posts(s, r, earlier)?;
-    let mut z = Vec::with_capacity(raster.cols * raster.rows);
-    let met = raster.doubles(s, &query, going, |_, _, band| {
-        z.extend_from_slice(band);
-        Ok(())
-    })?;
-    if z.iter().all(|v| v.is_nan()) {
-        return Err(nothing(s, r));
-    }
+    let posts = posts(s, r, earlier)?;
+    let (z, met) = posts.surface(s, &query, &r.place, going)?;
     let settled = shares.settle([met.least, met.most]);
-    let heights = rounded(&raster, z, settled.unit);
-    let place = placed(s, &raster, &settled)?;
-    let mut notes = Vec::new();
-    if met.uncertified > 0 {
-        let n = met.uncertified;
-        notes.push(format!(
-            "{n} posts lie in the rim outside every survey's core, where no error is certified"
-        ));
-    }
+    let heights = posts.rounded(z, settled.unit);
+    let place = posts.placed(s, settled.unit, settled.given_error)?;
+    let mut notes: Vec<String> = rim_note(met.uncertified).into_iter().collect();
     let refines = match earlier {
         None => None,
         Some(e) => refined(e, &heights, &place, &settled, &mut notes)?,
     };
-    let cells = picture.map(|p| draped(p, (s, &raster), &heights, &mut notes, going)).transpose()?;
+    let cells = picture.map(|p| draped(p, (s, &posts.raster), &heights, &mut notes, going)).transpose()?;
     let options = Options {
         layers: settled.layers.clone(),
         place,
@@ -144,7 +128,7 @@ pub fn stream(
         }
     };
     let found = found.map_err(codec)?;
-    let told = told(s, r, (&raster, posts), (&settled, met), &heights, &found)?;
+    let told = told(s, r, &posts, (&settled, met), &heights, &found)?;
     let notes = [notes, settled.notes(told.codec_error_m)].concat();
     Ok(Stream { bytes: found.bytes, ends: found.passes, told, notes, refines })
 }
@@ -153,83 +137,23 @@ fn codec(e: terraquilt_codecs::Error) -> Error {
     gtb::told("the stream", e)
 }
 
-fn nothing(s: &Snapshot, r: &StreamRequest) -> Error {
-    let reason = format!("holds no data; {}", whereabouts(s.crs(), s.bounds(), r.place.coords.as_ref()));
-    Error::invalid("region", reason)
-}
-
-/// The posts, and where they lie in words. Beside an earlier stream of a coarser spacing they begin on a post of it, by less than
-/// its spacing outside of the region.
-fn posts<'a>(s: &Snapshot, r: &'a StreamRequest, earlier: Option<&Decoded>) -> Result<(Raster<'a>, String)> {
-    let multiples = "whole multiples of the spacing";
-    let found = match r.step {
-        Some(step) => Raster::on_multiples(s, &r.place, step)?.map(|raster| (raster, multiples.to_string())),
-        None => match Raster::on_posts(s, &r.place)? {
-            Some((raster, survey)) => Some((raster, format!("posts of survey {survey}"))),
-            None => match finest_step(s, &r.place)? {
-                Some(step) => {
-                    Raster::on_multiples(s, &r.place, step)?.map(|raster| (raster, multiples.to_string()))
-                }
-                None => None,
-            },
-        },
-    };
-    let (raster, posts) = found.ok_or_else(|| {
-        Error::invalid("region", "no post lies in it; give a larger region, or a smaller step between posts")
-    })?;
+/// The posts. Beside an earlier stream of a coarser spacing they begin on a post of it, by less than its spacing outside of the region.
+fn posts<'a>(s: &Snapshot, r: &'a StreamRequest, earlier: Option<&Decoded>) -> Result<Posts<'a>> {
+    let posts = Posts::new(s, &r.place, r.step)?;
     let side_max = r.side_max.min(limits::LATTICE_SIDE_MAX);
-    let longest = raster.cols.max(raster.rows) as u64;
+    let (cols, rows) = (posts.raster.cols, posts.raster.rows);
+    let longest = cols.max(rows) as u64;
     if longest > side_max {
         let what = "posts along a side of a stream (give a smaller region, or a larger step between posts)";
         return Err(Error::limit(what, side_max, longest));
     }
     let [west, north] = earlier.map_or([0; 2], |e| {
-        held::beginning(&e.header.place, &Placed { transform: transform(&raster), ..Placed::default() })
+        held::beginning(&e.header.place, &Placed { transform: posts.transform(), ..Placed::default() })
     });
-    if (raster.cols + west).max(raster.rows + north) as u64 > side_max {
-        return Ok((raster, posts));
+    if (cols + west).max(rows + north) as u64 > side_max {
+        return Ok(posts);
     }
-    Ok((raster.grown(west, north), posts))
-}
-
-/// Heights in whole units.
-fn rounded(raster: &Raster, z: Vec<f64>, unit: f64) -> Heights {
-    let mut out = Heights::new(raster.cols, raster.rows, Vec::with_capacity(z.len()));
-    if z.iter().any(|v| v.is_nan()) {
-        out.void = z.iter().map(|v| v.is_nan()).collect();
-    }
-    out.z = z.iter().map(|v| if v.is_nan() { 0 } else { (v / unit + 0.5).floor() as i32 }).collect();
-    out
-}
-
-/// From posts to the ground.
-fn transform(raster: &Raster) -> [f64; 6] {
-    let ([x, y], [sx, sy]) = (raster.center(0, 0), raster.step());
-    [x, sx, 0.0, y, 0.0, -sy]
-}
-
-fn placed(s: &Snapshot, raster: &Raster, settled: &Settled) -> Result<Placed> {
-    Ok(Placed {
-        unit: settled.unit,
-        base: 0.0,
-        given_error: settled.given_error,
-        transform: transform(raster),
-        crs: raster.crs(s).code.clone(),
-        vertical: db::vertical_datum(s)?.map_or("m".to_string(), |d| format!("m {d}")),
-        source: source(s.number()),
-    })
-}
-
-const SOURCE: &str = "terraquilt, version ";
-
-/// What a file says of where it comes from.
-fn source(version: u64) -> String {
-    format!("{SOURCE}{version}")
-}
-
-/// The version of the database that a stream was made of, if its head names one.
-pub fn version_of(header: &Header) -> Option<u64> {
-    header.place.source.strip_prefix(SOURCE)?.parse().ok()
+    Ok(Posts { raster: posts.raster.grown(west, north), ..posts })
 }
 
 fn lattice(heights: &Heights) -> Result<Lattice> {
@@ -270,7 +194,7 @@ fn refined(
     notes: &mut Vec<String>,
 ) -> Result<Option<Refined>> {
     let lattice = lattice(heights)?;
-    let at = Posts { cols: heights.cols, rows: heights.rows, lattice, place };
+    let at = held::Posts { cols: heights.cols, rows: heights.rows, lattice, place };
     let Some(mut given) = held::shared(earlier, &at) else {
         notes.push("what is held shares no post with what is asked: everything is sent".into());
         return Ok(None);
@@ -295,7 +219,7 @@ fn refined(
 fn told(
     s: &Snapshot,
     r: &StreamRequest,
-    (raster, posts): (&Raster, String),
+    posts: &Posts,
     (settled, met): (&Settled, Met),
     heights: &Heights,
     found: &Encoded,
@@ -306,8 +230,8 @@ fn told(
     let samples = heights.z.len() as u64 - voids;
     let rounding_m = settled.unit / 2.0;
     Ok(Told {
-        cols: raster.cols,
-        rows: raster.rows,
+        cols: posts.raster.cols,
+        rows: posts.raster.rows,
         bytes: found.bytes.len() as u64,
         samples,
         voids,
@@ -320,8 +244,8 @@ fn told(
         unit_m: settled.unit,
         layers_m: settled.layers_m(),
         profile: if r.profile == Profile::Adaptive { "adaptive" } else { "cubic" }.into(),
-        step: raster.step(),
-        posts,
+        step: posts.raster.step(),
+        posts: posts.lie.clone(),
         seams: r.query.how.seams.name().into(),
         version: s.number(),
     })

@@ -66,6 +66,31 @@ impl Shares {
         Ok(Shares { surface: Tolerance::Constant(surface), promised: Some(*m), choice })
     }
 
+    /// For a codec that promises nothing: the surface and its rounding have all of the tolerance.
+    ///
+    /// # Errors
+    /// If the unit is none, or leaves nothing for the surface.
+    pub fn unbounded(tolerance: &Tolerance, unit: Option<f64>) -> Result<Shares> {
+        let mut choice = Choice { unit, ..Choice::default() };
+        check(&choice)?;
+        let mut surface = tolerance.clone();
+        if let Tolerance::Constant(m) = tolerance
+            && *m > 0.0
+        {
+            let unit = choice.unit_for(*m, *m);
+            let left = m - unit / 2.0 - 2.0 * SUMS_M;
+            if left <= 0.0 {
+                let half = unit / 2.0;
+                let reason =
+                    format!("{unit} m round by {half} m, of {m} m that were asked; give a finer one");
+                return Err(Error::invalid("unit", reason));
+            }
+            choice.unit = Some(unit);
+            surface = Tolerance::Constant(left);
+        }
+        Ok(Shares { surface, promised: None, choice })
+    }
+
     /// The unit, and the bounds of the layers in units, for a surface whose certified errors lie from `least` to `most` metres.
     pub fn settle(&self, [least, most]: [f64; 2]) -> Settled {
         let least = if least.is_finite() { least } else { 0.0 };
@@ -241,6 +266,21 @@ mod tests {
             let e = Shares::new(&m, &choice(bound, &[], unit)).err().unwrap().to_string();
             assert!(e.contains(says), "{e}");
         }
+    }
+
+    #[test]
+    fn without_a_bound_surface_and_rounding_have_all() {
+        for m in [0.002, 1.0, 30.0, 5000.0] {
+            let shares = Shares::unbounded(&Tolerance::Constant(m), None).unwrap();
+            let Tolerance::Constant(surface) = shares.surface else { panic!("one number") };
+            let s = shares.settle([0.0, surface]);
+            assert!(s.given_error <= m && s.given_error > m - 2e-9 && s.unit <= f64::max(m / 10.0, 0.001));
+        }
+        let exact = Shares::unbounded(&Tolerance::Constant(0.0), None).unwrap();
+        assert_eq!(exact.surface, Tolerance::Constant(0.0));
+        let coarse = Shares::unbounded(&Tolerance::Constant(4.0), Some(8.0)).err().unwrap().to_string();
+        assert!(coarse.contains("8 m round by 4 m"), "{coarse}");
+        assert!(Shares::unbounded(&Tolerance::Constant(4.0), Some(-1.0)).is_err());
     }
 
     #[test]
