@@ -1,19 +1,51 @@
-//! The surface of a prefix as triangles of the tree: only those that it needs, none where there is no data.
+//! Heights at the posts of a lattice as triangles of the tree: only those that they need, none where there is no data.
 
-use super::prefix::Prefix;
+use super::Grid;
 use crate::base::{Error, Result, limits};
 use crate::db::metres_per_unit;
 use crate::export::{Going, go_on};
 use crate::format::gltf::{Drape, DrapePicture, GlbMesh, write_draped_glb};
 use crate::height::crs::AxisUnit;
 use serde::Serialize;
-use serde_json::{Map, json};
+use serde_json::{Map, Value, json};
 use std::io::Write;
-use terraquilt_codecs::gtb::{Profile, bitree};
+use terraquilt_codecs::gtb::bitree;
 use terraquilt_codecs::lattice::Lattice;
 
-/// Colour of cells without a picture, sRGB: dry grass and rock.
-const BARE: [u8; 3] = [182, 175, 158];
+/// Heights at every post of a square lattice, of which a grid is the corner.
+pub struct Surface<'a> {
+    /// The lattice.
+    pub lattice: Lattice,
+    /// Heights, row by row; all are numbers.
+    pub z: &'a [f64],
+    /// Posts without data, and those beyond the grid.
+    pub free: &'a [bool],
+    /// Where it lies.
+    pub grid: &'a Grid,
+    /// What heights count from: the larger, the more digits rounding takes.
+    pub base: f64,
+}
+
+/// What a file says of a mesh.
+#[derive(Default)]
+pub struct Said<'a> {
+    /// Coordinate system.
+    pub crs: &'a str,
+    /// How wrong the surface is, in the unit of heights; `None`: nobody knows.
+    pub error: Option<f64>,
+    /// Further entries.
+    pub extras: Map<String, Value>,
+}
+
+/// A picture over a mesh.
+pub struct Coat<'a> {
+    /// Pixels in a row.
+    pub cols: usize,
+    /// Pixels.
+    pub rgb: &'a [[u8; 3]],
+    /// The place of a post on it: 0, 0 the upper left corner, 1, 1 the lower right one.
+    pub uv: &'a dyn Fn(usize) -> [f32; 2],
+}
 
 /// How a mesh is written.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,7 +66,7 @@ pub struct MeshTold {
     /// Indices of the strip.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub strip_length: Option<u64>,
-    /// Farthest the mesh is from the surface of the prefix at a post, in the unit of heights.
+    /// Farthest the mesh is from the surface at a post, in the unit of heights.
     pub mesh_error: f64,
 }
 
@@ -47,19 +79,19 @@ struct Thinned {
 
 /// Selects from coarse to fine each post that the surface of those before it misses by more than `most`; with 0 the rest is
 /// exactly the surface. Posts without data are selected only where triangles must end: around them every post is needed.
-fn thin(p: &Prefix, most: f64) -> Thinned {
-    let (lattice, side) = (p.header.lattice, p.header.lattice.side());
-    let mut selected = edges(lattice, &p.free);
-    let mut z = p.surface.clone();
+fn thin(p: &Surface, most: f64) -> Thinned {
+    let (lattice, side) = (p.lattice, p.lattice.side());
+    let mut selected = edges(lattice, p.free);
+    let mut z = p.z.to_vec();
     let mut error = 0.0f64;
     for pass in lattice.passes() {
         for post in pass.posts(lattice) {
             let at = post[0] * side + post[1];
             let ([a, b], _) = pass.parents(lattice, post);
             let middle = (z[a[0] * side + a[1]] + z[b[0] * side + b[1]]) / 2.0;
-            let off = (p.surface[at] - middle).abs();
+            let off = (p.z[at] - middle).abs();
             // The surface was scaled after it was filled: its midpoints differ by rounding.
-            let rounding = 4.0 * f64::EPSILON * (middle.abs() + p.header.place.base.abs());
+            let rounding = 4.0 * f64::EPSILON * (middle.abs() + p.base.abs());
             selected[at] |= off > most.max(rounding) && !p.free[at];
             if !selected[at] {
                 z[at] = middle;
@@ -100,12 +132,19 @@ fn edges(lattice: Lattice, free: &[bool]) -> Vec<bool> {
     out
 }
 
-/// Writes the surface of a prefix as GLB: textured if it has a picture, its vertices posts of the lattice.
+/// Writes a surface as GLB, its vertices posts of the lattice; textured if it has a coat.
 ///
 /// # Errors
 /// [`Error::Limit`] beyond the vertices of a mesh; what writing meets.
-pub fn write_mesh(out: &mut dyn Write, p: &Prefix, request: MeshRequest, going: Going) -> Result<MeshTold> {
-    let (lattice, side) = (p.header.lattice, p.header.lattice.side());
+pub fn write_mesh(
+    out: &mut dyn Write,
+    p: &Surface,
+    request: MeshRequest,
+    said: Said,
+    coat: Option<Coat>,
+    going: Going,
+) -> Result<MeshTold> {
+    let (lattice, side) = (p.lattice, p.lattice.side());
     go_on(going, "mesh", 0.0)?;
     let thinned = thin(p, request.error);
     let needed = bitree::needed(lattice, &thinned.selected);
@@ -139,47 +178,11 @@ pub fn write_mesh(out: &mut dyn Write, p: &Prefix, request: MeshRequest, going: 
     let positions: Vec<[f64; 3]> = posts.iter().map(|at| ground.position(*at, thinned.z[*at])).collect();
     let normals: Vec<[f32; 3]> = posts.iter().map(|at| ground.normal(*at)).collect();
     go_on(going, "mesh", 0.8)?;
-    let painted = p.picture.as_ref().map(|cells| Painted::new(p, cells));
-    let uv: Vec<[f32; 2]> =
-        painted.iter().flat_map(|painted| posts.iter().map(|at| painted.uv(*at, side))).collect();
-    let picture = painted.as_ref().map(|x| DrapePicture { cols: x.cols, rgb: &x.rgb, uv: &uv });
-    let mesh = GlbMesh {
-        positions: &positions,
-        normals: &normals,
-        triangles: &triangles,
-        colors: None,
-        origin: ground.origin,
-        crs: &p.header.place.crs,
-        error_m: (p.reached.error_bound + thinned.error) * ground.unit_m,
-        version: 0,
-        extras: extras(p, thinned.error * ground.unit_m, request.strips),
-    };
-    write_draped_glb(out, &mesh, &Drape { picture, strip: strip.as_deref() })?;
-    Ok(MeshTold {
-        vertices: posts.len() as u64,
-        triangles: triangles.len() as u64,
-        strip_length: strip.map(|s| s.len() as u64),
-        mesh_error: thinned.error,
-    })
-}
-
-fn extras(p: &Prefix, mesh_error_m: f64, strips: bool) -> Map<String, serde_json::Value> {
-    let mut extras = Map::new();
-    extras.insert("source".into(), json!(p.header.place.source));
-    extras.insert("mesh_error_m".into(), json!(mesh_error_m));
-    extras.insert("complete".into(), json!(p.reached.complete));
-    extras.insert("spacing_posts".into(), json!(p.reached.spacing));
-    let profile = match p.header.profile {
-        Profile::Sparse => "sparse",
-        Profile::Cubic => "cubic",
-        Profile::Adaptive => "adaptive",
-    };
-    extras.insert("profile".into(), json!(profile));
-    if p.picture.is_some() {
-        // What was measured and what was made up cannot be told apart in it.
-        extras.insert("texture".into(), json!("synthetic"));
-    }
-    if strips {
+    let uv: Vec<[f32; 2]> = coat.iter().flat_map(|c| posts.iter().map(|at| (c.uv)(*at))).collect();
+    let picture = coat.as_ref().map(|c| DrapePicture { cols: c.cols, rgb: c.rgb, uv: &uv });
+    let mut extras = said.extras;
+    extras.insert("mesh_error_m".into(), json!(thinned.error * ground.unit_m));
+    if request.strips {
         extras.insert("strips".into(), json!("one, its parts joined by degenerate triangles"));
     }
     if p.grid.affine.is_none() {
@@ -190,12 +193,29 @@ fn extras(p: &Prefix, mesh_error_m: f64, strips: bool) -> Map<String, serde_json
             json!("local: metres east and north of the origin, which is in degrees"),
         );
     }
-    extras
+    let mesh = GlbMesh {
+        positions: &positions,
+        normals: &normals,
+        triangles: &triangles,
+        colors: None,
+        origin: ground.origin,
+        crs: said.crs,
+        error_m: said.error.map_or(f64::NAN, |e| (e + thinned.error) * ground.unit_m),
+        version: 0,
+        extras,
+    };
+    write_draped_glb(out, &mesh, &Drape { picture, strip: strip.as_deref() })?;
+    Ok(MeshTold {
+        vertices: posts.len() as u64,
+        triangles: triangles.len() as u64,
+        strip_length: strip.map(|s| s.len() as u64),
+        mesh_error: thinned.error,
+    })
 }
 
 /// Posts in metres around an origin.
 struct Ground<'a> {
-    p: &'a Prefix,
+    p: &'a Surface<'a>,
     /// Metres of a step of columns and of rows, east and north.
     steps: [[f64; 2]; 2],
     /// Of the first post.
@@ -208,7 +228,7 @@ struct Ground<'a> {
 }
 
 impl<'a> Ground<'a> {
-    fn new(p: &'a Prefix) -> Ground<'a> {
+    fn new(p: &'a Surface<'a>) -> Ground<'a> {
         let unit_m = p.grid.vertical_unit_m.unwrap_or(1.0);
         let heights = p.grid.z.iter().filter(|z| !z.is_nan());
         let (low, high) =
@@ -231,7 +251,7 @@ impl<'a> Ground<'a> {
     }
 
     fn position(&self, at: usize, z: f64) -> [f64; 3] {
-        let side = self.p.header.lattice.side();
+        let side = self.p.lattice.side();
         let (col, row) = ((at % side) as f64, (at / side) as f64);
         let [x, y] = [0, 1].map(|k| self.first[k] + col * self.steps[0][k] + row * self.steps[1][k]);
         [x, y, z * self.unit_m - self.origin[2]]
@@ -239,12 +259,12 @@ impl<'a> Ground<'a> {
 
     /// Of the surface, by the posts beside one that have data.
     fn normal(&self, at: usize) -> [f32; 3] {
-        let side = self.p.header.lattice.side();
+        let side = self.p.lattice.side();
         let rise = |before: Option<usize>, after: Option<usize>| {
             let there = |q: Option<usize>| q.filter(|q| !self.p.free[*q]);
             let (a, b) = (there(before).unwrap_or(at), there(after).unwrap_or(at));
             let posts = usize::from(a != at) + usize::from(b != at);
-            (self.p.surface[b] - self.p.surface[a]) * self.unit_m / posts.max(1) as f64
+            (self.p.z[b] - self.p.z[a]) * self.unit_m / posts.max(1) as f64
         };
         let (col, row) = (at % side, at / side);
         let c = rise((col > 0).then(|| at - 1), (col + 1 < side).then_some(at + 1));
@@ -254,34 +274,6 @@ impl<'a> Ground<'a> {
         let n = if n[2] < 0.0 { n.map(|v| -v) } else { n };
         let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
         n.map(|v| (v / length) as f32)
-    }
-}
-
-/// The part of a picture that lies over the grid.
-struct Painted {
-    cols: usize,
-    rows: usize,
-    rgb: Vec<[u8; 3]>,
-    cells_a_post: f64,
-}
-
-impl Painted {
-    fn new(p: &Prefix, cells: &terraquilt_codecs::gtb::texture::Cells) -> Painted {
-        let side = 1usize << cells.n;
-        let cells_a_post = side as f64 / p.header.lattice.last() as f64;
-        let over = |posts: usize| (((posts - 1) as f64 * cells_a_post).ceil() as usize).clamp(1, side);
-        let (cols, rows) = (over(p.grid.cols), over(p.grid.rows));
-        let is_void = |at: usize| cells.void.get(at).copied().unwrap_or(false);
-        let rgb = (0..rows)
-            .flat_map(|i| (0..cols).map(move |j| i * side + j))
-            .map(|at| if is_void(at) { BARE } else { cells.rgb[at] })
-            .collect();
-        Painted { cols, rows, rgb, cells_a_post }
-    }
-
-    fn uv(&self, at: usize, side: usize) -> [f32; 2] {
-        let place = |post: usize, cells: usize| (post as f64 * self.cells_a_post / cells as f64) as f32;
-        [place(at % side, self.cols), place(at / side, self.rows)]
     }
 }
 
