@@ -9,7 +9,7 @@ mod mesh;
 mod relief;
 mod tif;
 
-pub use heights::{Grid, Units, place_of, units_within};
+pub use heights::{Grid, Units, name_of, place_of, units_within};
 pub use mesh::{Coat, MeshRequest, MeshTold, Said, Surface, write_mesh};
 pub use relief::write_relief;
 pub use tif::{RasterTold, Samples, write_tif};
