@@ -24,6 +24,8 @@ mod derivation;
 mod edges;
 /// Formats in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
+/// The surface as a fractal tile.
+mod fractal_surface;
 /// Meshes as GLB: within the bound, manifold, exact border.
 mod glb;
 /// A database of each released version, opened by today's code; same bytes whatever the threads.

@@ -41,9 +41,13 @@ MESHES = {
     "bunny": ("distance field, 64³", DATA / "mesh/stanford_bunny.ply", 64),
     "dragon": ("distance field, 128³", DATA / "mesh/stanford_dragon_res3.ply", 128),
 }
-# Grids of terrain that synthetic detail was developed with, and others that it has never seen before it was settled.
-DEVELOPED = ["Fuji", "San Gabriel", "Elk Mts"]
-HELD_OUT = [name for name in ELEVATION if name not in DEVELOPED]
+# Grids of terrain by their part in the making of synthetic detail: its form was found on the first, its two numbers (how much of the
+# extrapolated power, how smooth) were settled with a look at the second, the third had no part.
+PARTS = {
+    "form": ["Fuji", "San Gabriel", "Elk Mts"],
+    "numbers": ["White Mts", "Sierra", "Oso", "Slovenia", "Tien Shan", "Himalaya"],
+    "none": ["fault", "Rainier", "Cape Flattery", "Spearfish", "San Francisco", "Aitkin"],
+}
 
 
 def terrain(name):

@@ -1,6 +1,6 @@
-//! Synthetic detail beside the truth (specification, F7): `cargo run --release --example detail -- [--bound E] [--into FOLDER] GRID...`
+//! Synthetic detail beside the truth (specification, F7): `cargo run --release --example detail -- [--bound E] [--factors 2,4] [--into FOLDER] GRID...`
 //!
-//! Each grid is reduced by 2 and by 4, encoded with ranges of 4 alone and brought back to its size by bicubic interpolation, by the
+//! Each grid is reduced by the factors, powers of two (2 and 4), encoded with ranges of 4 alone and brought back to its size by bicubic interpolation, by the
 //! interpolation that keeps the means of cells, by the maps alone, and by the maps with controlled gain. One line of JSON for each: the error against
 //! bicubic's, the power of each new octave against the true one. Without --bound the tile has no residual. --into writes each result as little-endian u32
 //! columns, u32 rows and f64 values to FOLDER/NAME.FACTOR.WAY.
@@ -29,10 +29,15 @@ fn read(file: &str) -> Any<(usize, Vec<f64>)> {
 
 fn main() -> Any<()> {
     let (mut bound, mut into, mut files) = (None, None, Vec::new());
+    let mut factors = vec![2_usize, 4];
     let mut arguments = std::env::args().skip(1);
     while let Some(a) = arguments.next() {
         match a.as_str() {
             "--bound" => bound = Some(arguments.next().ok_or("--bound E")?.parse()?),
+            "--factors" => {
+                let list = arguments.next().ok_or("--factors 2,4")?;
+                factors = list.split(',').map(str::parse).collect::<Result<_, _>>()?;
+            }
             "--into" => into = Some(arguments.next().ok_or("--into FOLDER")?),
             _ => files.push(a),
         }
@@ -40,8 +45,11 @@ fn main() -> Any<()> {
     for file in &files {
         let name = Path::new(file).file_stem().unwrap_or_default().to_string_lossy();
         let (cols, truth) = read(file)?;
-        for k in [1, 2] {
-            let factor = 1 << k;
+        for factor in &factors {
+            if !factor.is_power_of_two() || *factor > 16 {
+                return Err(format!("factor {factor}; a power of two up to 16 is needed").into());
+            }
+            let k = factor.trailing_zeros();
             let back = reduced::there_and_back(&truth, cols, k, Search::Exact, bound)?;
             for way in &back.ways {
                 println!(

@@ -1,5 +1,5 @@
 //! Times of the searches for matches, what they lose, and how many pairs they meet:
-//! `cargo run --release --example fractal_search -- [--threads N] FILE...`.
+//! `cargo run --release --example fractal_search -- [--threads N] [--sides R,R...] FILE...`.
 //!
 //! A file is two little-endian u32 (columns, rows) and columns x rows little-endian i32 heights, or a binary PGM of 8 bits (`.pgm`). It is cut
 //! to multiples of 32 samples. The collage is each range by its best map of the grid itself; its PSNR is to the range of values, 255 for a PGM.
@@ -62,14 +62,16 @@ fn read(file: &str) -> (Grid<2>, f64) {
 }
 
 fn main() {
-    let mut threads = 2;
     let mut files: Vec<String> = std::env::args().skip(1).collect();
-    if let Some(at) = files.iter().position(|a| a == "--threads") {
-        threads = files[at + 1].parse().expect("a number of threads");
-        files.drain(at..at + 2);
-    }
+    let mut option = |name: &str, otherwise: &str| {
+        let Some(at) = files.iter().position(|a| a == name) else { return otherwise.to_owned() };
+        files.drain(at..(at + 2).min(files.len())).nth(1).expect("a value")
+    };
+    let threads: usize = option("--threads", "2").parse().expect("a number of threads");
+    let sides = option("--sides", "2,4,8,16,32");
+    let sides: Vec<usize> = sides.split(',').map(|r| r.parse().expect("a side")).collect();
     if files.is_empty() {
-        eprintln!("usage: fractal_search [--threads N] FILE...");
+        eprintln!("usage: fractal_search [--threads N] [--sides R,R...] FILE...");
         std::process::exit(2);
     }
     let isometries = group::<2>(8).expect("a group");
@@ -83,7 +85,7 @@ fn main() {
         );
         for search in [Search::Exact, Search::Classes, Search::Near(16)] {
             let mut total = 0.0;
-            for side in [2, 4, 8, 16, 32] {
+            for side in sides.iter().copied() {
                 let domains = Domains::new(grid.size, side, 4);
                 let level = Level {
                     grid: &grid,

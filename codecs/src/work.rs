@@ -4,8 +4,7 @@ use crate::{Error, Result};
 
 /// Does work that falls into independent parts, and says when to stop.
 pub trait Workers: Sync {
-    /// Calls `part` once with each of `0..parts`, in any order, from any thread; returns when all are done. Parts may be left out once
-    /// [`going`](Workers::going) says no, which it then says for good.
+    /// Calls `part` once with each of `0..parts`, in any order, from any thread; returns when all are done.
     fn run(&self, parts: usize, part: &(dyn Fn(usize) + Sync));
 
     /// Told how much is done, 0 to 1; `false` stops the work.

@@ -4,6 +4,7 @@ mod adaptive;
 mod bitree;
 mod damage;
 mod detail;
+mod fractal;
 mod frame;
 mod given;
 mod golden;

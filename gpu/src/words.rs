@@ -1,36 +1,16 @@
 //! A tile in the numbers that the shaders read.
 
-use bytemuck::{Pod, Zeroable};
 use terraquilt_codecs::fractal::Walk;
 use terraquilt_codecs::fractal::isometry::Isometry;
 use terraquilt_codecs::{Error, Result};
 
-/// As `Shape` of walk.wgsl.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-pub(crate) struct Shape {
-    size: [u32; 2],
-    across: u32,
-    shift: u32,
-}
-
-/// As `Leaf` of walk.wgsl.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-pub(crate) struct Leaf {
-    range: [u32; 2],
-    domain: [u32; 2],
-    side: u32,
-    turn: u32,
-    scale: f32,
-    offset: f32,
-}
-
 /// Heights are shares of the range from the lowest to the highest sample: the 24 bits of a GPU's numbers then serve the range, not the
 /// height above the sea.
 pub(crate) struct Words {
-    pub shape: Shape,
-    pub leaves: Vec<Leaf>,
+    /// `Shape` of walk.wgsl.
+    pub shape: [u32; 4],
+    /// `Leaf` of walk.wgsl.
+    pub leaves: Vec<[u32; 8]>,
     pub seed: Vec<f32>,
     /// Height of share 0.
     pub low: f64,
@@ -47,27 +27,25 @@ impl Words {
         let high = samples.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let span = if high > low { high - low } else { 1.0 };
         let turns: Vec<u32> = walk.group().iter().map(turn).collect();
-        let leaves = walk.steps().iter().map(|l| Leaf {
-            range: l.range,
-            domain: l.domain,
-            side: l.side,
-            turn: turns[usize::from(l.isometry)],
-            scale: l.scale as f32,
-            // low + span v = s (low + span w) + o
-            offset: ((l.offset + l.scale * low - low) / span) as f32,
-        });
-        let leaves: Vec<Leaf> = leaves.collect();
+        // low + span v = s (low + span w) + o
+        let offsets = walk.steps().iter().map(|l| ((l.offset + l.scale * low - low) / span) as f32);
+        let offsets: Vec<f32> = offsets.collect();
         let seed: Vec<f32> = samples.iter().map(|v| ((v - low) / span) as f32).collect();
         let place = |what: &str, at: Option<usize>| at.map(|k| format!("{what} {k}"));
-        let wrong = place("leaf", leaves.iter().position(|l| !l.offset.is_finite()))
+        let wrong = place("leaf", offsets.iter().position(|v| !v.is_finite()))
             .or(place("sample", seed.iter().position(|v| !v.is_finite())));
         if let Some(place) = wrong {
             let reason = format!("{place} is too far from the samples, which reach from {low} to {high}");
             return Err(Error::invalid("fractal tile", reason));
         }
-        let size = walk.grid().size.map(|n| n as u32);
+        let leaves = walk.steps().iter().zip(&offsets).map(|(l, offset)| {
+            let ([x, y], [u, v]) = (l.range, l.domain);
+            let turn = turns[usize::from(l.isometry)];
+            [x, y, u, v, l.side, turn, (l.scale as f32).to_bits(), offset.to_bits()]
+        });
+        let [cols, rows] = walk.grid().size.map(|n| n as u32);
         let shift = walk.cell_side().trailing_zeros();
-        Ok(Words { shape: Shape { size, across: size[0] >> shift, shift }, leaves, seed, low, span })
+        Ok(Words { shape: [cols, rows, cols >> shift, shift], leaves: leaves.collect(), seed, low, span })
     }
 }
 

@@ -1,4 +1,4 @@
-use crate::support::{gpu, open, tile};
+use crate::support::{gpu, open, tile, tile_above};
 use terraquilt_gpu::{Error, SAMPLES_MAX, Window, wgpu};
 
 const WINDOW: Window = Window { x0: 0.0, y0: 0.0, step: 1.0, cols: 32, rows: 32, depth: 0 };
@@ -42,6 +42,13 @@ fn zooms_that_cannot_be_are_refused() {
     let e = Window::whole([16384, 16384], 2_f64.powi(24)).unwrap_err().to_string();
     assert!(e.contains("samples of a window"), "{e}");
     assert_eq!(Window::whole([100, 75], 1.5).map(|w| (w.cols, w.rows, w.depth)), Ok((150, 112, 1)));
+}
+
+#[test]
+fn heights_that_are_no_numbers_are_refused() {
+    let Some(gpu) = gpu() else { return };
+    let e = gpu.upload(&tile_above(f64::MAX, 2, [64, 64], 1)).err().unwrap().to_string();
+    assert!(e.starts_with("fractal tile: ") && e.contains("too far from the samples"), "{e}");
 }
 
 #[test]

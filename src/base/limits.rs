@@ -70,3 +70,5 @@ pub const FRACTAL_BYTES_MAX: u64 = 1 << 30;
 pub const FRACTAL_SAMPLES_MAX: u64 = 64 << 20;
 /// Samples up to which a tile is searched whole where no search is named: some seconds of work.
 pub const FRACTAL_EXACT_SAMPLES_MAX: u64 = 1 << 18;
+/// Bytes of one file with a triangle mesh.
+pub const MESH_FILE_BYTES_MAX: u64 = 1 << 30;

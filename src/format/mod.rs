@@ -17,7 +17,7 @@
 //! | greyscale PNG | `gray_png` |
 //! | one of these in a zip | `archive` |
 //!
-//! [`picture`] reads GeoTIFF and PNG for their colours.
+//! [`picture`] reads GeoTIFF and PNG for their colours, [`solid`] PLY, GLB and glTF for their triangles.
 
 mod archive;
 mod ascii;
@@ -34,9 +34,11 @@ mod hgt;
 mod input;
 mod kind;
 pub mod picture;
+mod ply;
 mod raw;
 pub mod relief;
 mod sidecar;
+pub mod solid;
 mod usgs;
 mod voids;
 mod window;

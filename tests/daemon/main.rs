@@ -27,6 +27,8 @@ mod killed;
 mod refused;
 /// The surface as a stream: whole, from where the client is, refining what it holds.
 mod streams;
+/// Fractal tiles of the surface.
+mod tiles;
 
 /// Points, lines and rasters from a server are those of the database, bit for bit.
 mod heights;

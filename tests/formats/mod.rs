@@ -8,6 +8,8 @@ mod damage;
 mod place;
 /// What lies beside a grid: headers, world files, `.prj`.
 mod sidecars;
+/// Triangle meshes: PLY, GLB, glTF.
+mod solids;
 /// Every file of the difficult data: read as GDAL reads it, or refused.
 mod table;
 /// Text formats: Esri ASCII grids, USGS DEM.

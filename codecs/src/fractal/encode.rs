@@ -70,6 +70,11 @@ pub struct Encoded {
     pub header: Header,
 }
 
+/// Distances up to this, two voxels, tell where the surface of a volume runs,
+const SURFACE: u8 = 16;
+/// and count so many times as much as others.
+const SURFACE_WEIGHT: f32 = 8.0;
+
 /// Slopes that a bounded tile is tried with, in squares of 2E + 1.
 const SLOPES: [f64; 4] = [0.25, 1.0, 4.0, 16.0];
 
@@ -178,12 +183,15 @@ pub fn encode_heights(
     };
     header.check()?;
     let file = |partition: Partition| -> Result<Encoded> {
+        let go_on = || crate::work::check(workers, 1.0);
         let plan = candidates.plan(partition)?;
+        go_on()?;
         let mut c = Encoder::new();
         if header.mask {
             mask::code(&mut heights.void.clone(), heights.cols, &mut c);
         }
         let ifs = tree::code(&shape, &plan, &mut c);
+        go_on()?;
         if let Some(e) = header.bound {
             let rec = ifs.rounded(header.seed(), Stop::PUBLISHED)?;
             let stride = shape.padded()[0];
@@ -194,9 +202,12 @@ pub fn encode_heights(
                 let off = i64::from(*z) - i64::from(rec[at]);
                 q[at] = (off.signum() * ((off.abs() + i64::from(e)) / step)) as i32;
             }
+            go_on()?;
             residual::code(&mut q, stride, size, &heights.void, &mut c);
         }
+        go_on()?;
         sealed(header.clone(), ifs.maps(), c.finish(), |tile| {
+            go_on()?;
             let errors = |k: usize, v: f64| {
                 if heights.is_void(k) { None } else { Some((v - f64::from(heights.z[k])).abs()) }
             };
@@ -316,7 +327,7 @@ pub fn encode_picture(
     })
 }
 
-/// Encodes a volume of signed distances, -127 to 127, the first axis fastest.
+/// Encodes a volume of signed distances in eighths of a voxel, -127 to 127, the first axis fastest. Samples near the surface count more.
 pub fn encode_volume(
     size: [usize; 3],
     values: &[i8],
@@ -334,7 +345,10 @@ pub fn encode_volume(
     }
     let shape = options.shape(size)?;
     let grid = padded(&values.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>(), size, &shape);
-    let candidates = Candidates::search(&shape, &grid, &padded_weights(&[], size, &shape), options, workers)?;
+    let weights: Vec<f32> =
+        values.iter().map(|v| if v.unsigned_abs() <= SURFACE { SURFACE_WEIGHT } else { 1.0 }).collect();
+    let candidates =
+        Candidates::search(&shape, &grid, &padded_weights(&weights, size, &shape), options, workers)?;
     let plan = candidates.plan(options.partition.unwrap_or(Partition::Slope(100.0)))?;
     let mut c = Encoder::new();
     let ifs = tree::code(&shape, &plan, &mut c);

@@ -189,7 +189,7 @@ impl Header {
         if let Some(e) = bound.filter(|e| *e > u64::from(BOUND_MAX)) {
             return Err(Error::Limit { what: "bound", limit: u64::from(BOUND_MAX), wanted: e });
         }
-        let search = match r.byte()? {
+        let mut search = match r.byte()? {
             0 => Search::Exact,
             1 => Search::Classes,
             2 => Search::Near(0),
@@ -250,6 +250,12 @@ impl Header {
             }
             _ => Shapes::Planes(vec![shape_in([size[0], size[1]], &mut r)?]),
         };
+        if let Search::Near(width) = &mut search {
+            *width = match &shapes {
+                Shapes::Planes(planes) => planes[0].near,
+                Shapes::Volume(s) => s.near,
+            };
+        }
         let body = r.varint()?;
         if r.at != bytes.len() {
             return Err(Error::damaged(

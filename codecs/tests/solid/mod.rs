@@ -4,4 +4,4 @@ mod bodies;
 mod contours;
 mod fields;
 mod meshes;
-mod real;
+pub mod real;

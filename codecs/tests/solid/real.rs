@@ -6,7 +6,7 @@ use terraquilt_codecs::solid::{Border, Field, MARGIN, Mesh, Window, separation, 
 use terraquilt_codecs::work::Alone;
 
 /// Vertices and triangles of a PLY text as those two files have them.
-fn read(text: &str) -> Mesh {
+pub fn read(text: &str) -> Mesh {
     let count = |what: &str| -> usize {
         let line = text.lines().find_map(|l| l.strip_prefix(what)).expect("a count");
         line.trim().parse().expect("a number")

@@ -1,4 +1,4 @@
-//! Meshes as glTF 2.0 binary files (GLB).
+//! Meshes as glTF 2.0 binary files (GLB). Terrain is written as follows; what is no terrain keeps its axes ([`write_solid_glb`]).
 //!
 //! glTF is x right, y up, z towards the viewer: here x = east, y = up, z = south. Positions are 32-bit
 //! floats relative to an origin near the middle of the mesh; the origin is in `asset.extras`:
@@ -13,16 +13,22 @@
 //! Layout of the binary chunk: positions, normals, colours if any, indices; little-endian, each part begins
 //! at a multiple of 4 bytes. Indices are 16 bits wide if they fit.
 
+mod affine;
 mod compact;
 mod container;
+mod document;
 mod draped;
 mod lattice;
+mod solid;
 mod squeeze;
 mod tiles;
+mod triangles;
 
 pub use compact::{Compact, Compacted, write_compact_glb};
 pub use draped::{Drape, DrapePicture, write_draped_glb};
+pub use solid::write_solid_glb;
 pub use squeeze::meshopt_built;
+pub(super) use triangles::{Beside, read_triangles};
 
 use std::io::Write;
 

@@ -10,51 +10,59 @@ const WEIGHTS: [f64; 3] = [201.0 / 1024.0, -44.0 / 1024.0, 5.0 / 1024.0];
 /// beyond it the ground goes on turned about the last sample, which keeps slopes.
 ///
 /// It is sharper than bicubic interpolation, which treats means of cells as heights at their centres: rebuilding grids that were
-/// reduced by box means, its error is 0.72 to 0.92 of bicubic's.
+/// reduced by box means, its error is 0.72 to 0.93 of bicubic's.
 pub fn doubled(grid: &Grid<2>) -> Grid<2> {
     let [cols, rows] = grid.size;
     let size = [2 * cols, 2 * rows];
     if cols == 0 || rows == 0 {
         return Grid { size, values: Vec::new() };
     }
-    let mut wide = Vec::with_capacity(2 * cols * rows);
+    let mut wide = Vec::with_capacity(2 * cols * (rows + 6));
+    let mut longer = vec![0.0; cols + 6];
     for row in grid.values.chunks_exact(cols) {
-        for x in 0..cols {
-            let away = |d: usize| beyond(cols, x, d, |k| row[k]);
-            let half = halves(away(1), away(2), away(3));
-            wide.extend([row[x] - half, row[x] + half]);
+        longer[3..cols + 3].copy_from_slice(row);
+        for d in 1..=3 {
+            let [before, after] = beyond(cols, d, |k| row[k]);
+            (longer[3 - d], longer[cols + 2 + d]) = (before, after);
+        }
+        for w in longer.windows(7) {
+            let half = halves([w[0], w[1], w[2], w[4], w[5], w[6]]);
+            wide.extend([w[3] - half, w[3] + half]);
         }
     }
+    // Three rows more at either end.
+    let row = |k: usize| &wide[k * 2 * cols..][..2 * cols];
+    let ends = [1, 2, 3].map(|d| {
+        let pair = |x: usize| beyond(rows, d, |k| row(k)[x]);
+        (0..2 * cols).map(pair).collect::<Vec<[f64; 2]>>()
+    });
+    let mut tall: Vec<f64> = ends.iter().rev().flatten().map(|e| e[0]).collect();
+    tall.extend_from_slice(&wide);
+    tall.extend(ends.iter().flatten().map(|e| e[1]));
     let mut values = vec![0.0; 4 * cols * rows];
     for (y, pair) in values.chunks_exact_mut(4 * cols).enumerate() {
         let (upper, lower) = pair.split_at_mut(2 * cols);
+        let [a, b, c, own, d, e, f]: [&[f64]; 7] =
+            std::array::from_fn(|k| &tall[(y + k) * 2 * cols..][..2 * cols]);
         for x in 0..2 * cols {
-            let away = |d: usize| beyond(rows, y, d, |k| wide[k * 2 * cols + x]);
-            let half = halves(away(1), away(2), away(3));
-            let own = wide[y * 2 * cols + x];
-            upper[x] = own - half;
-            lower[x] = own + half;
+            let half = halves([a[x], b[x], c[x], d[x], e[x], f[x]]);
+            upper[x] = own[x] - half;
+            lower[x] = own[x] + half;
         }
     }
     Grid { size, values }
 }
 
-/// The values `d` cells after and before `at`. Beyond the border: twice the last one less its mirror image.
-#[inline(always)]
-fn beyond(count: usize, at: usize, d: usize, value: impl Fn(usize) -> f64) -> [f64; 2] {
+/// The values `d` before the first and after the last of a line: twice the value there less its mirror image, or the farthest there is.
+fn beyond(count: usize, d: usize, value: impl Fn(usize) -> f64) -> [f64; 2] {
     let last = count - 1;
-    let after = if at + d <= last {
-        value(at + d)
-    } else {
-        2.0 * value(last) - value(last.saturating_sub(at + d - last))
-    };
-    let before = if at >= d { value(at - d) } else { 2.0 * value(0) - value((d - at).min(last)) };
-    [after, before]
+    [2.0 * value(0) - value(d.min(last)), 2.0 * value(last) - value(last.saturating_sub(d))]
 }
 
+/// By how much the second half of a cell differs from it: of its three neighbours before and three after.
 #[inline(always)]
-fn halves(one: [f64; 2], two: [f64; 2], three: [f64; 2]) -> f64 {
-    (WEIGHTS[0] * (one[0] - one[1]) + WEIGHTS[1] * (two[0] - two[1])) + WEIGHTS[2] * (three[0] - three[1])
+fn halves([a, b, c, d, e, f]: [f64; 6]) -> f64 {
+    (WEIGHTS[0] * (d - c) + WEIGHTS[1] * (e - b)) + WEIGHTS[2] * (f - a)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Synthetic detail below the sample distance, held to the tile's own spectrum octave by octave (specification, sections 7 and 8 F7).
 //!
-//! The maps of a fractal tile say something at every zoom, and on terrain they say too much: plain zooming has 1.4 to 16 times the power
+//! The maps of a fractal tile say something at every zoom, and on terrain they say too much: plain zooming has up to 16 times the power
 //! of the real ground below the sample distance. So heights come from the samples by [`doubled`], which keeps every sample as
 //! the mean of its cell, and of the maps only the texture is taken, with a gain for each octave:
 //!

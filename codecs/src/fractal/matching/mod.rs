@@ -76,8 +76,8 @@ pub struct Level<'a, const D: usize> {
 /// Ranges that are one part of the work where little is to be done with each.
 const RANGES: usize = 512;
 
-/// Multiplications in f32 between two questions whether to go on: some tenths of a second.
-const BATCH: usize = 4_000_000_000;
+/// Multiplications in f32 between two questions whether to go on: some tenths of a second. In tests small grids shall fall into parts as well.
+const BATCH: usize = if cfg!(test) { 100_000 } else { 4_000_000_000 };
 
 impl<const D: usize> Level<'_, D> {
     /// The best match of each range, by its corner; `None` where nothing beats the flat range. Of equal ones that of the first domain, then of the first
@@ -125,7 +125,7 @@ impl<const D: usize> Level<'_, D> {
     pub fn pairs(&self, ranges: &[[usize; D]], search: Search) -> u64 {
         let orders = self.isometries.len() as u64;
         match search {
-            Search::Exact => (ranges.len() * self.domains.len()) as u64 * orders,
+            Search::Exact => ranges.len() as u64 * self.domains.len() as u64 * orders,
             Search::Near(width) => {
                 let near = |range: &[usize; D]| self.domains.near(*range, width).1;
                 ranges.iter().map(|r| near(r).iter().product::<usize>() as u64 * orders).sum()

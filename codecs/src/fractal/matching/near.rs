@@ -1,6 +1,7 @@
 //! Each range meets the domains round it.
 
 use super::frame::Frame;
+use super::screen::Answer;
 use super::sought::{Range, Sought};
 use super::strip::Strip;
 use super::{BATCH, collect};
@@ -8,8 +9,8 @@ use crate::Result;
 use crate::fractal::grid::points;
 use crate::work::{self, Workers};
 
-/// Numbers of domains that are laid out at once by one part of the work.
-const NUMBERS: usize = 1 << 20;
+/// Numbers of domains that are laid out at once by one part of the work: 4 MiB. In tests small grids shall fall into parts as well.
+const NUMBERS: usize = if cfg!(test) { 5000 } else { 1 << 20 };
 
 /// Sides of ranges along a side of the cell whose ranges share what is laid out, and the least cell, in samples.
 const CELL: (usize, usize) = (4, 32);
@@ -60,7 +61,7 @@ fn group<const D: usize>(frame: &Frame<D>, width: usize, sought: &[Sought<D>]) -
     let mut rows = count;
     rows[0] = 1;
     let rows: Vec<[usize; D]> = points(rows).map(|p| sum(first, p)).collect();
-    let mut gains = Vec::new();
+    let mut answer = Answer::default();
     for some in rows.chunks((NUMBERS / (count[0] * frame.poses.rows).max(1)).max(1)) {
         // A window that begins in the last lanes ends beyond the domains.
         let strip = |row: &[usize; D]| {
@@ -73,7 +74,7 @@ fn group<const D: usize>(frame: &Frame<D>, width: usize, sought: &[Sought<D>]) -
             for (row, strip) in some.iter().zip(&strips) {
                 if (1..D).all(|a| (from[a]..to[a]).contains(&row[a])) {
                     let lanes = from[0] - first[0]..to[0] - first[0];
-                    sought.meet(frame, range, &chosen, strip, lanes, &mut gains);
+                    sought.meet(frame, range, &chosen, strip, lanes, &mut answer);
                 }
             }
         }

@@ -50,7 +50,7 @@ impl Poses {
             });
             poses[known].1.isometries[mirrored] = Some(number);
         }
-        let mirrors = mirrors && side % 2 == 0 && poses.len() < isometries.len();
+        let mirrors = mirrors && side.is_multiple_of(2) && poses.len() < isometries.len();
         if !mirrors {
             let one = |(k, i): (usize, &Isometry<D>)| Pose {
                 places: i.inverse().places(side),

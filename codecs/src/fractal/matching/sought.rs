@@ -2,7 +2,7 @@
 
 use super::Match;
 use super::frame::Frame;
-use super::screen::{self, Measure, ROOM};
+use super::screen::{Answer, Measure, Question, ROOM};
 use super::strip::{LANES, Strip};
 
 /// The best match so far.
@@ -56,7 +56,7 @@ impl<const D: usize> Sought<D> {
         })
     }
 
-    /// Meets the domains of some lanes of a strip in some poses. `gains` is room to work in.
+    /// Meets the domains of some lanes of a strip in some poses. `answer` is room to work in.
     pub fn meet(
         &mut self,
         frame: &Frame<D>,
@@ -64,19 +64,26 @@ impl<const D: usize> Sought<D> {
         chosen: &[usize],
         strip: &Strip,
         lanes: std::ops::Range<usize>,
-        gains: &mut Vec<f32>,
+        answer: &mut Answer,
     ) {
-        gains.resize(lanes.len().next_multiple_of(LANES), 0.0);
         let measure = Measure::new(&frame.poses, range.length, frame.level.scales);
-        let greatest = screen::gains(&frame.poses, range, chosen, measure, strip, lanes.start, gains);
-        if greatest <= self.needed() {
-            return;
-        }
-        for (lane, gain) in lanes.zip(gains) {
-            if *gain > self.needed() {
-                self.try_lane(frame, range, chosen, strip, lane, measure);
+        let (at, needed) = (lanes.start, self.needed());
+        let question = Question { poses: &range.poses, chosen, measure, strip, at, needed };
+        question.answer(&frame.poses, lanes.len(), answer);
+        for first in &answer.enough {
+            for (k, gain) in answer.gains[*first..][..LANES].iter().enumerate() {
+                if *gain > self.needed() && lanes.contains(&(at + first + k)) {
+                    self.try_lane(frame, range, chosen, strip, at + first + k, measure);
+                }
             }
         }
+    }
+
+    /// Whether domains of a strip, in the order of their lengths, may beat the best.
+    #[inline]
+    pub fn may_gain(&self, frame: &Frame<D>, range: &Range, strip: &Strip) -> bool {
+        Measure::new(&frame.poses, range.length, frame.level.scales).most(strip.lengths[0], strip.longest())
+            > self.needed()
     }
 
     /// What a pair must gain, as it is screened, to be tried.
@@ -99,16 +106,26 @@ impl<const D: usize> Sought<D> {
         let (length, inverse) = (strip.lengths[lane], strip.inverses[lane]);
         for p in chosen {
             let mut parts = [0.0_f32; 8];
-            for (k, r) in range.poses[p * poses.rows..][..poses.rows].iter().enumerate() {
-                parts[k % poses.parts] += r * strip.samples[k * strip.stride + lane];
+            let mut at = lane;
+            for some in range.poses[p * poses.rows..][..poses.rows].chunks_exact(poses.parts) {
+                for (sum, r) in parts.iter_mut().zip(some) {
+                    *sum += r * strip.samples[at];
+                    at += strip.stride;
+                }
             }
-            for (mirrors, isometry) in poses.poses[*p].isometries.iter().enumerate() {
+            if poses.mirrors {
+                for axis in (0..D).map(|a| 1 << a) {
+                    for k in (0..1 << D).filter(|k| k & axis == 0) {
+                        (parts[k], parts[k | axis]) =
+                            (parts[k] + parts[k | axis], parts[k] - parts[k | axis]);
+                    }
+                }
+            } else {
+                parts[0] = parts.iter().sum();
+            }
+            for (isometry, correlation) in poses.poses[*p].isometries.iter().zip(parts) {
                 let Some(isometry) = *isometry else { continue };
-                let signed = parts.iter().enumerate().map(|(part, v)| {
-                    if poses.mirrors && (part & mirrors).count_ones() % 2 == 1 { -v } else { *v }
-                });
-                let correlation = signed.sum::<f32>().abs();
-                if measure.gain(correlation, length, inverse) > self.needed() {
+                if measure.gain(correlation.abs(), length, inverse) > self.needed() {
                     self.try_pair(frame, range, strip, lane, isometry);
                 }
             }

@@ -58,6 +58,11 @@ impl Strip {
         }
         out
     }
+
+    /// The length of the longest; the domains in the order of their lengths.
+    pub fn longest(&self) -> f32 {
+        self.domains.len().checked_sub(1).map_or(0.0, |last| self.lengths[last])
+    }
 }
 
 /// Where domains begin; the last one again where there are fewer.

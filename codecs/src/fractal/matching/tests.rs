@@ -81,7 +81,7 @@ fn ranges<const D: usize>(size: [usize; D], side: usize, mut seed: u64) -> Vec<[
     let mut all: Vec<[usize; D]> = points(size.map(|n| n / side)).map(|p| p.map(|v| v * side)).collect();
     for k in 0..all.len() {
         let other = random(&mut seed) as usize % all.len();
-        if random(&mut seed) % 4 == 0 {
+        if random(&mut seed).is_multiple_of(4) {
             all[k] = all[other];
         } else {
             all.swap(k, other);
@@ -90,11 +90,23 @@ fn ranges<const D: usize>(size: [usize; D], side: usize, mut seed: u64) -> Vec<[
     all
 }
 
-fn agree<const D: usize>(grid: &Grid<D>, side: usize, jump: usize, order: usize, search: Search, seed: u64) {
+/// How a grid is searched.
+#[derive(Clone, Copy)]
+struct How {
+    side: usize,
+    jump: usize,
+    isometries: usize,
+    bits: u32,
+    search: Search,
+}
+
+fn agree<const D: usize>(grid: &Grid<D>, how: How, seed: u64) {
+    let How { side, jump, search, .. } = how;
     let half = grid.half();
-    let isometries = group::<D>(order).unwrap();
+    let isometries = group::<D>(how.isometries).unwrap();
     let domains = Domains::new(grid.size, side, jump);
-    let level = Level { grid, half: &half, domains, isometries: &isometries, scales: Scales::of_bits(5) };
+    let level =
+        Level { grid, half: &half, domains, isometries: &isometries, scales: Scales::of_bits(how.bits) };
     let ranges = ranges(grid.size, side, seed);
     let frame = Frame::new(&level, search);
     let want: Vec<Option<Match<D>>> = ranges.iter().map(|r| plain::search(&frame, *r, search)).collect();
@@ -133,13 +145,14 @@ proptest! {
         side in prop::sample::select(vec![1_usize, 2, 2, 3, 4, 4, 6, 8]),
         cells in (1_usize..12, 1_usize..12),
         jump in prop::sample::select(vec![2_usize, 4, 6]),
-        order in prop::sample::select(vec![1_usize, 8, 8]),
+        isometries in prop::sample::select(vec![1_usize, 8, 8]),
+        bits in 2_u32..9,
         seed: u64,
     ) {
         let side = if search == Search::Classes { side.next_multiple_of(2) } else { side };
         let most = 48 / side;
         let grid = grid([cells.0.min(most) * side, cells.1.min(most) * side], ground, seed);
-        agree(&grid, side, jump, order, search, seed);
+        agree(&grid, How { side, jump, isometries, bits, search }, seed);
     }
 
     #[test]
@@ -149,13 +162,14 @@ proptest! {
         side in prop::sample::select(vec![2_usize, 2, 3, 4]),
         cells in (1_usize..6, 1_usize..6, 1_usize..6),
         jump in prop::sample::select(vec![2_usize, 4]),
-        order in prop::sample::select(vec![1_usize, 16, 24, 48]),
+        isometries in prop::sample::select(vec![1_usize, 16, 24, 48]),
+        bits in 2_u32..9,
         seed: u64,
     ) {
         let most = 12 / side;
         let size = [cells.0, cells.1, cells.2].map(|n| n.min(most) * side);
         let search = near.map_or(Search::Exact, Search::Near);
-        agree(&grid(size, ground, seed), side, jump, order, search, seed);
+        agree(&grid(size, ground, seed), How { side, jump, isometries, bits, search }, seed);
     }
 }
 
@@ -163,16 +177,18 @@ proptest! {
 fn larger_grids_agree() {
     for (ground, side) in [(Ground::Smooth, 4), (Ground::Rough, 16), (Ground::High, 2), (Ground::Few(2), 4)] {
         for search in [Search::Exact, Search::Classes, Search::Near(16)] {
-            agree(&grid([112, 96], ground, 5), side, 4, 8, search, 3);
+            agree(&grid([112, 96], ground, 5), How { side, jump: 4, isometries: 8, bits: 5, search }, 3);
         }
     }
-    agree(&grid([24, 16, 24], Ground::Broken, 5), 4, 2, 48, Search::Exact, 3);
+    let how = How { side: 4, jump: 2, isometries: 48, bits: 5, search: Search::Exact };
+    agree(&grid([24, 16, 24], Ground::Broken, 5), how, 3);
 }
 
 #[test]
 fn a_constant_grid_has_no_matches() {
     for value in [0.0, 0.1, 16_777_215.0] {
-        agree(&Grid::filled([32, 24], value), 4, 4, 8, Search::Exact, 1);
+        let how = How { side: 4, jump: 4, isometries: 8, bits: 5, search: Search::Exact };
+        agree(&Grid::filled([32, 24], value), how, 1);
     }
     let grid = Grid::filled([32, 32], 5.0);
     let half = grid.half();
