@@ -5,9 +5,12 @@ use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
 use super::{metered, notes, short};
 use crate::base::{Error, Result, limits};
-use crate::export::fractal::{NEAR, Request, Sent, SentTold, Taken, search_of, send_heights, send_picture};
+use crate::export::fractal::{
+    NEAR, Request, SentTold, Taken, VOXELS, search_of, send_heights, send_picture, send_solid,
+};
 use crate::export::grid::Grid;
-use crate::format::{self, picture::Picture};
+use crate::format::picture::Picture;
+use crate::format::{self, solid::read_solid};
 use clap::{ArgGroup, Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -22,7 +25,7 @@ use terraquilt_codecs::fractal::{Options, Partition, Search};
 #[derive(Args)]
 #[command(
     group = ArgGroup::new("far").args(["maps", "const_side", "tolerance", "slope", "bound"]).multiple(true).required(true),
-    after_help = "Examples:\n  terraquilt fractal encode crater.tif crater.ifs --bound 0.5       # no post farther off than half a metre\n  terraquilt fractal encode crater.tif crater.ifs --bound 0         # exact, to the unit\n  terraquilt fractal encode photo.png photo.ifs --maps 5000         # the best 5000 maps\n  terraquilt fractal encode photo.png photo.ifs --slope 20          # as many bits as pay\n  terraquilt fractal encode dem8bit.png dem.ifs --as heights --const 2\n  terraquilt fractal encode dem.tif dem.ifs --maps 9000 --interest 560000,5115000,561000,5116000,50\n\nRead is every grid that `ingest` reads; GeoTIFF and PNG of 8 bits as pictures. Up to 16 million samples (a million if all domains are searched); some 200\nbytes of memory a sample."
+    after_help = "Examples:\n  terraquilt fractal encode crater.tif crater.ifs --bound 0.5       # no post farther off than half a metre\n  terraquilt fractal encode crater.tif crater.ifs --bound 0         # exact, to the unit\n  terraquilt fractal encode photo.png photo.ifs --maps 5000         # the best 5000 maps\n  terraquilt fractal encode photo.png photo.ifs --slope 20          # as many bits as pay\n  terraquilt fractal encode dem8bit.png dem.ifs --as heights --const 2\n  terraquilt fractal encode dem.tif dem.ifs --maps 9000 --interest 560000,5115000,561000,5116000,50\n  terraquilt fractal encode bunny.ply bunny.ifs --maps 5000 --voxels 128\n\nRead is every grid that `ingest` reads; GeoTIFF and PNG of 8 bits as pictures; PLY, GLB and glTF as meshes. Up to 16 million samples (a million if all domains are searched); some 200\nbytes of memory a sample."
 )]
 pub struct Encode {
     /// DEM, picture or mesh
@@ -79,6 +82,9 @@ pub struct Encode {
     /// greatest holds
     #[arg(long, value_name = "XMIN,YMIN,XMAX,YMAX,WEIGHT", allow_hyphen_values = true)]
     interest: Vec<String>,
+    /// Meshes: voxels along the longest side, 8 to 512 [default: 64]
+    #[arg(long, value_name = "N")]
+    voxels: Option<u64>,
     /// Heights: this sample value means no data
     #[arg(long, value_name = "V", allow_hyphen_values = true)]
     nodata: Option<f64>,
@@ -109,6 +115,11 @@ struct Told<'a> {
     seconds: f64,
 }
 
+/// As the codec counts; what is too large is refused there.
+fn size(v: u64) -> usize {
+    usize::try_from(v).unwrap_or(usize::MAX)
+}
+
 impl Encode {
     pub fn run(self) -> Result<bool> {
         let started = Instant::now();
@@ -120,6 +131,12 @@ impl Encode {
             Some(TakenName::Picture) => Taken::Picture,
             Some(TakenName::Mesh) => Taken::Mesh,
         };
+        if self.voxels.is_some() && taken != Taken::Mesh {
+            return Err(Error::invalid(
+                "--voxels",
+                format!("is for meshes; this file is taken for {}", taken.name()),
+            ));
+        }
         if self.taken.is_none() && taken == Taken::Picture {
             message("note: taken as a picture (8 bits a sample, no place); --as heights for a DEM");
         }
@@ -136,17 +153,18 @@ impl Encode {
                     send_heights(&grid, &request, going)?
                 }
                 Taken::Picture => {
-                    if self.nodata.is_some() {
-                        return Err(Error::invalid(
-                            "--nodata",
-                            "is for heights; every pixel of a picture counts",
-                        ));
-                    }
+                    self.only_heights("every pixel of a picture counts")?;
                     let mut picture = Picture::open(&self.file)?;
                     notes(&picture.info().notes);
                     send_picture(&mut picture, &request, going)?
                 }
-                Taken::Mesh => self.mesh()?,
+                Taken::Mesh => {
+                    self.only_heights("every triangle of a mesh counts")?;
+                    going("reading", 0.0);
+                    let mesh = read_solid(&self.file)?;
+                    let voxels = self.voxels.map_or(VOXELS, size);
+                    send_solid(&mesh, &self.file.display().to_string(), voxels, &request, going)?
+                }
             };
             write_whole(&self.out, |p| std::fs::write(p, &sent.bytes).map_err(|e| Error::io(p, e)))?;
             Ok(sent)
@@ -155,16 +173,15 @@ impl Encode {
         self.tell(&sent.told, started)
     }
 
-    fn mesh(&self) -> Result<Sent> {
-        Err(Error::unsupported(
-            self.file.display(),
-            "a mesh; read are DEMs and pictures",
-            "give one of those, or --as heights or --as picture if it is one",
-        ))
+    /// Refuses what says which samples are none.
+    fn only_heights(&self, why: &str) -> Result<()> {
+        match self.nodata {
+            Some(_) => Err(Error::invalid("--nodata", format!("is for heights; {why}"))),
+            None => Ok(()),
+        }
     }
 
     fn request(&self) -> Result<Request> {
-        let size = |v: u64| usize::try_from(v).unwrap_or(usize::MAX);
         for (option, v) in [
             ("--tolerance", self.tolerance),
             ("--slope", self.slope),
@@ -229,6 +246,9 @@ impl Encode {
         let psnr = t.psnr_db.map_or("no difference".into(), |p| format!("{p:.2} dB"));
         let error = match t.error_bound {
             Some(b) => format!("error at most {}, guaranteed ({} measured)", short(b), short(t.error_max)),
+            None if t.voxel.is_some() => {
+                format!("error at most {} eighths of a voxel, as measured", short(t.error_max))
+            }
             None => format!("error at most {}, as measured", short(t.error_max)),
         };
         out.line(format!(
