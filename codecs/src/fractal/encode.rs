@@ -297,7 +297,7 @@ pub fn encode_picture(
     for (values, size) in &planes {
         let shape = options.shape(*size)?;
         let grid = padded(values, *size, &shape);
-        let by = cols.div_ceil(size[0]);
+        let by = if size == &[cols, rows] { 1 } else { options.chroma };
         let weights = match weights {
             [] => Vec::new(),
             w => {
