@@ -153,6 +153,9 @@ pub(super) fn code<C: Coder, S: Source<D>, const D: usize>(
     let mut nodes: Vec<[u16; D]> = points(shape.cells(0)).map(|p| p.map(|v| v as u16)).collect();
     means.of = vec![0; nodes.len()];
     for level in 0..shape.levels() {
+        if nodes.is_empty() {
+            break;
+        }
         if level == 0 {
             roots(source, &mut models, &mut means, &nodes, c);
         } else {
@@ -272,7 +275,7 @@ fn kinds<C: Coder, S: Source<D>, const D: usize>(
     let shape = &out.shape;
     let domains = shape.domains(level);
     let mut seen = Cells { size: means.size, of: vec![UNSEEN; means.of.len()] };
-    let mut next = Vec::new();
+    out.leaves.reserve_exact(nodes.len());
     let mut siblings = 0;
     let context_level = level.min(LEVELS - 1);
     for (number, node) in nodes.iter().enumerate() {
@@ -307,9 +310,6 @@ fn kinds<C: Coder, S: Source<D>, const D: usize>(
             }
             seen.of[at] = SPLIT;
             siblings += 1;
-            for k in 0..1_u16 << D {
-                next.push(std::array::from_fn(|a| 2 * node[a] + (k >> a & 1)));
-            }
             continue;
         }
         let mapped = !domains.is_empty()
@@ -344,6 +344,12 @@ fn kinds<C: Coder, S: Source<D>, const D: usize>(
         }
         out.leaves.push(leaf);
     }
+    out.leaves.shrink_to_fit();
+    let split = |node: &&[u16; D]| seen.of[seen.at(node.map(usize::from))] == SPLIT;
+    let mut next = Vec::with_capacity(nodes.iter().filter(split).count() << D);
+    for node in nodes.iter().filter(split) {
+        next.extend((0..1_u16 << D).map(|k| std::array::from_fn(|a| 2 * node[a] + (k >> a & 1))));
+    }
     if c.ended() {
         // Ranges that were split show what is known of them.
         let mean = |node: &[u16; D]| means.of[means.at(node.map(|v| usize::from(v) / 2))];
@@ -356,6 +362,7 @@ fn kinds<C: Coder, S: Source<D>, const D: usize>(
             scale: 0,
         };
         if level + 1 < shape.levels() && shape.side(level + 1) > 1 {
+            out.leaves.reserve_exact(next.len());
             out.leaves.extend(next.iter().map(leaf));
             next.clear();
         }
