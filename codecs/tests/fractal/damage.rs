@@ -123,8 +123,11 @@ fn rubbish_is_a_tile_or_an_error() {
         for round in 0..rounds {
             let mut file = bytes[..head].to_vec();
             if round % 2 == 1 {
-                let at = 11 + random.below(head as u64 - 15) as usize;
-                file[at] = random.next() as u8;
+                // Small numbers have a meaning in most fields.
+                for _ in 0..=random.below(4) {
+                    let at = 11 + random.below(head as u64 - 15) as usize;
+                    file[at] = if random.below(2) == 0 { random.below(9) } else { random.next() } as u8;
+                }
                 file = seal(file);
             }
             // Blocks of rubbish, each with its checksum.
