@@ -36,7 +36,7 @@ fn wrong_calls_get_one_clear_line_and_leave_no_file() {
         (encode(&["--bound", "1", "--interest", "1,2,3"]), "--interest"),
         (encode(&["--bound", "1", "--interest", "0,0,1,1,0.5"]), "--interest"),
         (encode(&["--bound", "1", "--voxels", "64"]), "--voxels"),
-        (encode(&["--bound", "1", "--as", "picture"]), "--bound"),
+        (encode(&["--maps", "9", "--as", "picture"]), "colours"),
         (encode(&["--maps", "99", "--as", "mesh"]), "mesh"),
         (words(&["fractal", "encode", &f.path("none.tif"), &out, "--bound", "1"]), "not found"),
         (words(&["fractal", "encode", &f.path("photo.jpg"), &out, "--maps", "9"]), "JPEG"),
