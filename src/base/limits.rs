@@ -64,5 +64,11 @@ pub const FRACTAL_POSTS_MAX: u64 = 16 << 20;
 pub const FRACTAL_FAR_POSTS_MAX: u64 = 1 << 20;
 /// Bytes of one GTB file.
 pub const GTB_BYTES_MAX: u64 = 1 << 30;
+/// Bytes of one fractal tile.
+pub const FRACTAL_BYTES_MAX: u64 = 1 << 30;
+/// Samples of a fractal tile that is decoded, and of what is made of it at any zoom: 16 bytes of memory each and more.
+pub const FRACTAL_SAMPLES_MAX: u64 = 64 << 20;
+/// Samples up to which a tile is searched whole where no search is named: some seconds of work.
+pub const FRACTAL_EXACT_SAMPLES_MAX: u64 = 1 << 18;
 /// Bytes of one file with a triangle mesh.
 pub const MESH_FILE_BYTES_MAX: u64 = 1 << 30;

@@ -6,7 +6,9 @@
 mod args;
 mod ask;
 mod care;
+mod coded;
 mod export;
+mod fractal;
 mod gtb;
 mod ingest;
 mod line;
@@ -76,6 +78,7 @@ enum Command {
     Copy(upkeep::Copy),
     Rebuild(upkeep::Rebuild),
     Gtb(gtb::Gtb),
+    Fractal(fractal::Fractal),
 }
 
 /// A word of the command line that another room carries out.
@@ -85,8 +88,8 @@ pub struct Door {
 }
 
 /// Words that work on files: of a database, or others.
-const DISK_ONLY: [&str; 9] =
-    ["backup", "compact", "copy", "demo", "gtb", "init", "rebuild", "serve", "token"];
+const DISK_ONLY: [&str; 10] =
+    ["backup", "compact", "copy", "demo", "fractal", "gtb", "init", "rebuild", "serve", "token"];
 
 /// Runs the program. Never panics on input; a closed pipe is no crash.
 pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCode {
@@ -168,6 +171,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, doors: Vec<Door>) -> ExitCo
         Command::Copy(c) => c.run(),
         Command::Rebuild(c) => c.run(),
         Command::Gtb(c) => c.run(),
+        Command::Fractal(c) => c.run(),
     };
     finish(done)
 }

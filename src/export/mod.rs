@@ -4,11 +4,12 @@
 //! - [`FileRequest`], [`write_surface`]: one file of a region, the same bytes whoever asks; [`write_samples`]: a survey's own
 //!   samples, bit for bit; [`Written`]: what there is to say of it
 //! - [`StreamRequest`], [`stream()`]: the surface as one progressive stream (GTB)
-//! - [`drape`]: a picture onto the cells of a lattice; [`gtb`]: heights to GTB and back; [`fractal`]: fractal tiles
+//! - [`drape`]: a picture onto the cells of a lattice; [`grid`]: heights with a place, as files; [`gtb`]: heights to GTB and back; [`fractal`]: fractal tiles
 
 pub mod drape;
 mod file;
 pub mod fractal;
+pub mod grid;
 pub mod gtb;
 mod mesh;
 mod place;

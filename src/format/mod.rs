@@ -34,7 +34,7 @@ mod hgt;
 mod input;
 mod kind;
 pub mod picture;
-mod ply;
+pub mod ply;
 mod raw;
 pub mod relief;
 mod sidecar;

@@ -100,6 +100,17 @@ impl Header {
         f64::from(self.range[0]) * 0.5 + f64::from(self.range[1]) * 0.5
     }
 
+    /// How many times smaller a plane is than the tile: 1, 2 or 4.
+    pub fn smaller<const D: usize>(&self, plane: &Shape<D>) -> usize {
+        smaller(self.size, plane)
+    }
+
+    /// Bytes of the whole file, behind a head of `head` bytes.
+    pub fn file_bytes(&self, head: usize) -> u64 {
+        let sums = self.body.div_ceil(crate::blocks::BLOCK as u64).saturating_mul(4);
+        (head as u64).saturating_add(self.body).saturating_add(sums)
+    }
+
     /// The bytes of the head: magic, version, length, fields, CRC-32C.
     pub fn bytes(&self) -> Vec<u8> {
         let t = &self.place.transform;
@@ -306,9 +317,15 @@ fn sound(p: &Place) -> bool {
     reals.into_iter().all(f64::is_finite) && p.unit > 0.0 && p.given_error >= 0.0
 }
 
+/// The least of 1, 2 and 4 that takes the tile's size to the plane's.
+fn smaller<const D: usize>(size: [usize; 3], plane: &Shape<D>) -> usize {
+    let fits = |by: &usize| (0..D).all(|a| size[a].div_ceil(*by) == plane.size[a]);
+    [1, 2].into_iter().find(fits).unwrap_or(4)
+}
+
 /// A shape; its size as how often it is smaller than the tile.
 fn shape_out<const D: usize>(s: &Shape<D>, size: [usize; 3], w: &mut Writer) {
-    w.0.push(size[0].div_ceil(s.size[0]) as u8);
+    w.0.push(smaller(size, s) as u8);
     w.0.extend_from_slice(&[s.range_max_log as u8, s.range_min_log as u8]);
     w.varint(s.jump as u64);
     w.0.extend_from_slice(&[s.isometries as u8, s.near as u8, s.scale_bits as u8]);

@@ -18,6 +18,8 @@ pub const VOLUME_SIDE_MAX: usize = 512;
 /// Most samples of a plane or of a volume.
 pub const SAMPLES_MAX: u64 = 1 << 27;
 
+/// Greatest origin and step of means: far beyond any height in units, so that nothing runs out of the numbers.
+const VALUE_MAX: f64 = (1_u64 << 40) as f64;
 /// Samples beyond a quarter of a tile's own that whole ranges may add.
 const PADDING: u64 = 4096;
 
@@ -96,10 +98,13 @@ impl<const D: usize> Shape<D> {
             ));
         }
         isometry::group::<D>(self.isometries)?;
-        if !(self.step.is_finite() && self.step > 0.0 && self.origin.is_finite()) {
+        if !(self.step > 0.0 && self.step <= VALUE_MAX && self.origin.abs() <= VALUE_MAX) {
             return Err(Error::invalid(
                 "means",
-                format!("step {}, origin {}; finite, the step above 0", self.step, self.origin),
+                format!(
+                    "step {}, origin {}; up to {VALUE_MAX} either way are allowed, the step above 0",
+                    self.step, self.origin
+                ),
             ));
         }
         Ok(())

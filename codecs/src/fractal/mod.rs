@@ -18,7 +18,7 @@ pub mod domains;
 mod encode;
 pub mod grid;
 pub mod header;
-mod ifs;
+pub mod ifs;
 pub mod isometry;
 pub mod iterate;
 mod mask;

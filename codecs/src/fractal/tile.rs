@@ -164,8 +164,6 @@ impl Tile {
         if !by.is_power_of_two() {
             return Err(Error::invalid("zoom", format!("{by}; a power of two is needed")));
         }
-        let [cols, rows, _] = self.header.size;
-        let channels = self.planes.len();
         let mut grids = Vec::new();
         for (k, ifs) in self.planes.iter().enumerate() {
             let whole = if by == 1 {
@@ -173,24 +171,44 @@ impl Tile {
             } else {
                 self.walk(k)?.doubled(by.trailing_zeros())?
             };
-            grids.push((whole, ifs.shape.size.map(|n| n * by), cols.div_ceil(ifs.shape.size[0])));
+            grids.push(cropped(whole, ifs.shape.size.map(|n| n * by)));
         }
-        let (cols, rows) = (cols * by, rows * by);
+        let [cols, rows, _] = self.header.size;
+        self.picture_of(&grids, [cols * by, rows * by])
+    }
+
+    /// The picture of `size` pixels that planes make, all at one zoom: the brightness pixel by pixel, I and Q, which are smaller, straight
+    /// between their samples.
+    pub fn picture_of(&self, planes: &[Grid<2>], [cols, rows]: [usize; 2]) -> Result<Picture> {
+        self.only(&[Kind::Grey, Kind::Colour], "picture")?;
+        let fits = |(k, g): (usize, &Grid<2>)| {
+            let whole = g.size[0].checked_mul(g.size[1]).is_some_and(|n| n > 0 && n == g.values.len());
+            whole && (k > 0 || g.size == [cols, rows])
+        };
+        if planes.len() != self.planes.len() || !planes.iter().enumerate().all(fits) {
+            return Err(Error::invalid(
+                "planes",
+                format!("{}; {} of {cols} x {rows} pixels are needed", planes.len(), self.planes.len()),
+            ));
+        }
+        let smaller: Vec<usize> = self.planes.iter().map(|p| self.header.smaller(&p.shape)).collect();
+        let channels = planes.len();
         let mut samples = Vec::with_capacity(cols * rows * channels);
         let byte = |v: f64| v.round().clamp(0.0, 255.0) as u8;
         for y in 0..rows {
             for x in 0..cols {
-                let at = |(grid, size, smaller): &(Grid<2>, [usize; 2], usize)| match smaller {
-                    1 => grid.values[y * grid.size[0] + x],
-                    n => {
-                        let centre = |v: usize| (v as f64 + 0.5) / *n as f64;
-                        colour::between(&grid.values, grid.size[0], *size, centre(x), centre(y))
+                let at = |k: usize| {
+                    let g = &planes[k];
+                    if g.size == [cols, rows] {
+                        return g.values[y * cols + x];
                     }
+                    let centre = |v: usize| (v as f64 + 0.5) / smaller[k] as f64;
+                    colour::between(&g.values, g.size[0], g.size, centre(x), centre(y))
                 };
-                match &grids[..] {
-                    [y] => samples.push(byte(at(y))),
-                    [y, i, q] => samples.extend(colour::rgb([at(y), at(i), at(q)]).map(byte)),
-                    _ => {}
+                if channels == 1 {
+                    samples.push(byte(at(0)));
+                } else {
+                    samples.extend(colour::rgb([at(0), at(1), at(2)]).map(byte));
                 }
             }
         }

@@ -2,7 +2,7 @@
 
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
-use super::{bytes_of, metered, notes, short, unit_of};
+use super::{Codec, bytes_of, metered, notes, short, unit_of};
 use crate::base::{Error, Result};
 use crate::export::Going;
 use crate::export::gtb::{
@@ -73,7 +73,7 @@ impl Decode {
     pub fn run(self) -> Result<bool> {
         let started = Instant::now();
         let form = self.form()?;
-        let (name, found) = bytes_of(&self.file, self.bytes)?;
+        let (name, found) = bytes_of(&self.file, Codec::Gtb, self.bytes)?;
         let until = match (self.bytes, self.error) {
             (Some(n), _) => Until::Bytes(n),
             (_, Some(e)) => Until::Error(e),

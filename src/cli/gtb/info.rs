@@ -1,7 +1,7 @@
 //! `gtb info`: what a GTB file holds, and what each part of it shows.
 
 use super::super::output::{Output, bytes, count, table};
-use super::{bytes_of, metered, notes, short, unit_of};
+use super::{Codec, bytes_of, metered, notes, short, unit_of};
 use crate::base::Result;
 use crate::export::gtb::{Reached, Until, read_prefix, told};
 use clap::Args;
@@ -63,7 +63,7 @@ struct PassTold {
 
 impl Info {
     pub fn run(self) -> Result<bool> {
-        let (name, found) = bytes_of(&self.file, None)?;
+        let (name, found) = bytes_of(&self.file, Codec::Gtb, None)?;
         let (header, head) = Header::read(&found).map_err(|e| told(&name, e))?;
         let whole = header.file_position(head, usize::try_from(header.body).unwrap_or(usize::MAX / 2));
         if header.given.is_some() {

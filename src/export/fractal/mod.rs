@@ -1,13 +1,33 @@
 //! Fractal tiles (`docs/fractal-format.md`): of the surface, and of files.
 //!
 //! - [`Threads`]: the threads of the current pool, at work for the codec
+//! - [`Taken`]: what a file is taken for; [`send_heights`], [`send_picture`]: files as tiles
+//! - [`Opened`]: a tile as it was read; [`plane()`], [`passes`]: its samples at any [`Zoom`], or as far as time allows; [`Shown`]: the files that are made of
+//!   them; [`Points`]: its value at points; [`plane_on_gpu`]: the same as planes, on a GPU
+//! - [`send_solid`], [`Solid`]: meshes as tiles, and back
 //! - [`tile()`]: the surface of a region as a tile, [`Choice`]: what a caller may choose of it, [`TileTold`]: what there is to say of it
 
+mod files;
+mod gpu;
+mod opened;
+mod point;
+mod sender;
+mod solid;
+mod source;
 mod surface;
 mod workers;
+mod zoom;
 
+pub use files::Shown;
+pub use gpu::{gpu_built, plane_on_gpu};
+pub use opened::{Opened, Worth};
+pub use point::{Answer, Points};
+pub use sender::{NEAR, Request, Sent, SentTold, kind_name, send_heights, send_picture};
+pub use solid::{Solid, SolidTold, VOXELS, send_solid};
+pub use source::Taken;
 pub use surface::{Choice, TileRequest, TileTold, search_name, search_of, tile};
 pub use workers::Threads;
+pub use zoom::{Detail, Progress, Zoom, passes, plane};
 
 use crate::base::Error;
 use terraquilt_codecs::fractal::{Header, Kind};

@@ -4,7 +4,7 @@
 //! as they do in a stream. Where the number of maps is given, surface and rounding have all of the tolerance, and what the maps add is
 //! measured with the decoder.
 
-use super::{Threads, psnr_db, told};
+use super::{NEAR, Threads, psnr_db, told};
 use crate::base::{Error, Result, limits};
 use crate::db::Snapshot;
 use crate::db::query::{Query, Tolerance};
@@ -14,9 +14,6 @@ use crate::export::shares::{self, Shares};
 use crate::export::{Going, go_on};
 use serde::{Deserialize, Serialize};
 use terraquilt_codecs::fractal::{Options, Partition, Search, encode_heights};
-
-/// Domains along an axis round a range, which it meets unless all are asked for.
-const NEAR: usize = 16;
 
 /// What the caller chose beside the tolerance.
 #[derive(Clone, Debug, Default, PartialEq)]

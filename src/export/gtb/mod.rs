@@ -6,16 +6,15 @@
 //!   [`write_mesh`]: the files that are made of it
 //! - [`told`]: the codec's errors as ours
 
-mod grid;
 mod mesh;
 mod prefix;
 mod raster;
 mod sender;
 
-pub use grid::{Grid, Units, place_of};
-pub use mesh::{MeshRequest, MeshTold, write_mesh};
+pub use super::grid::{Grid, MeshRequest, MeshTold, RasterTold, Units, place_of};
+pub use mesh::write_mesh;
 pub use prefix::{Prefix, Reached, Until, read_prefix};
-pub use raster::{RasterTold, write_picture, write_tif};
+pub use raster::{write_picture, write_tif};
 pub use sender::{Request, Sent, SentTold, send};
 
 use crate::base::Error;

@@ -1,8 +1,8 @@
 //! What a prefix of a stream gives: a surface with a place, its error, and the picture as far as it came.
 
-use super::grid::{Grid, place_of};
 use super::told;
 use crate::base::Result;
+use crate::export::grid::{Grid, place_of};
 use serde::Serialize;
 use terraquilt_codecs::gtb::companion::Companion;
 use terraquilt_codecs::gtb::texture::{Cells, Reader};

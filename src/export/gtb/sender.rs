@@ -1,10 +1,10 @@
 //! A grid, and perhaps a picture, as a GTB file.
 
-use super::grid::Grid;
 use super::told;
 use crate::base::{Error, Result};
 use crate::export::Going;
 use crate::export::drape::{Drape, Square};
+use crate::export::grid::{Grid, units_within};
 use crate::format::picture::Picture;
 use serde::Serialize;
 use terraquilt_codecs::gtb::companion::Alone;
@@ -161,10 +161,7 @@ pub fn send(grid: &Grid, request: Request, going: Going) -> Result<Sent> {
 fn layers(bounds: &[f64], rounding: f64, unit: f64) -> Result<Vec<u32>> {
     let mut out: Vec<u32> = Vec::new();
     for asked in bounds.iter().rev() {
-        if !(asked.is_finite() && *asked >= 0.0) {
-            return Err(Error::invalid("--bound", format!("{asked}; a bound is a number of at least 0")));
-        }
-        let most = ((asked - rounding).max(0.0) / unit + 1e-9).floor().min(f64::from(BOUND_MAX)) as u64;
+        let most = units_within("--bound", *asked, rounding, unit)?.min(u64::from(BOUND_MAX));
         let Some(fine) = out.last().map(|e| 2 * u64::from(*e) + 1) else {
             out.push(most as u32);
             continue;

@@ -54,6 +54,8 @@ pub struct GeoTiffWriter<W: Write + Seek = File> {
     out: W,
     file: String,
     spec: GeoTiffSpec,
+    /// What the file says of itself.
+    description: Option<String>,
     big: bool,
     shape: TileShape,
     /// Rows of the current row of tiles.
@@ -100,6 +102,7 @@ impl<W: Write + Seek> GeoTiffWriter<W> {
             out,
             file,
             spec,
+            description: None,
             big,
             shape,
             band: Vec::with_capacity(band_bytes),
@@ -156,6 +159,12 @@ impl<W: Write + Seek> GeoTiffWriter<W> {
             .and_then(|()| self.out.flush())
             .map_err(|e| Error::io(&self.file, e))?;
         Ok(self.out)
+    }
+
+    /// What the file says of itself (ImageDescription): letters of ASCII, others become `?`.
+    pub fn describe(&mut self, text: &str) {
+        let plain = |c: char| if c.is_ascii() && c != '\0' { c } else { '?' };
+        self.description = Some(text.chars().map(plain).collect());
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<()> {
@@ -237,6 +246,9 @@ impl<W: Write + Seek> GeoTiffWriter<W> {
             Entry::short(258, &[spec.sample_type.bytes() as u16 * 8]),
             Entry::short(259, &[8]), // deflate
             Entry::short(262, &[1]), // black is zero
+        ];
+        entries.extend(self.description.iter().map(|t| Entry::text(270, t)));
+        entries.extend([
             Entry::short(277, &[1]), // one band
             Entry::short(284, &[1]), // one plane
             Entry::short(317, &[predictor]),
@@ -245,7 +257,7 @@ impl<W: Write + Seek> GeoTiffWriter<W> {
             table(324, &self.offsets),
             table(325, &self.counts),
             Entry::short(339, &[format]),
-        ];
+        ]);
         if let Some(affine) = spec.affine {
             entries.extend(placement(affine));
         }

@@ -52,7 +52,7 @@ pub struct GlbMesh<'a> {
     pub origin: [f64; 3],
     /// Coordinate system of `origin`, such as `EPSG:32611`.
     pub crs: &'a str,
-    /// Certified error, metres.
+    /// Certified error, metres; NaN: nobody knows, which the file says as `null`.
     pub error_m: f64,
     /// Version of the database.
     pub version: u64,
@@ -113,8 +113,11 @@ fn check(mesh: &GlbMesh) -> Result<()> {
     if mesh.normals.len() != count || mesh.colors.is_some_and(|c| c.len() != count) {
         return invalid("normals and colours must be as many as positions");
     }
-    let numbers = mesh.positions.iter().flatten().chain(&mesh.origin).chain([&mesh.error_m]);
-    if numbers.clone().any(|v| !v.is_finite()) || mesh.normals.iter().flatten().any(|v| !v.is_finite()) {
+    let mut numbers = mesh.positions.iter().flatten().chain(&mesh.origin);
+    if numbers.any(|v| !v.is_finite())
+        || mesh.error_m.is_infinite()
+        || mesh.normals.iter().flatten().any(|v| !v.is_finite())
+    {
         return invalid("a number is not finite");
     }
     if mesh.positions.iter().flatten().any(|v| !(*v as f32).is_finite()) {

@@ -1,6 +1,9 @@
 //! Pictures of the ground, read for their colours: GeoTIFF and PNG of 8 bits, red, green, blue (and alpha), or grey.
 
 mod png;
+mod write;
+
+pub use write::write_png;
 
 use self::png::Png;
 use super::geotiff::GeoTiff;

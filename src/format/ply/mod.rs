@@ -6,6 +6,9 @@
 
 mod header;
 mod rows;
+mod write;
+
+pub use write::write_ply;
 
 use self::header::{Element, Header};
 use self::rows::Rows;

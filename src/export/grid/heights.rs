@@ -55,11 +55,31 @@ impl Grid {
     /// # Errors
     /// [`Error::Limit`] beyond the side of a lattice; what the reader meets.
     pub fn read(source: &mut dyn HeightSource, going: Going) -> Result<Grid> {
+        Grid::read_within(source, limits::LATTICE_SIDE_MAX, u64::MAX, going)
+    }
+
+    /// As [`read`](Grid::read), of so many posts along a side and in all.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] beyond, before anything is allocated; what the reader meets.
+    pub fn read_within(
+        source: &mut dyn HeightSource,
+        side_max: u64,
+        posts_max: u64,
+        going: Going,
+    ) -> Result<Grid> {
         let info = source.info().clone();
-        let longest = info.cols.max(info.rows);
-        if longest > limits::LATTICE_SIDE_MAX {
-            let what = format!("posts along a side of {} (cut it into tiles)", info.file);
-            return Err(Error::limit(what, limits::LATTICE_SIDE_MAX, longest));
+        let posts = info.cols.saturating_mul(info.rows);
+        for (what, limit, wanted) in
+            [("posts along a side", side_max, info.cols.max(info.rows)), ("posts", posts_max, posts)]
+        {
+            if wanted > limit {
+                return Err(Error::limit(
+                    format!("{what} of {} (cut it into tiles)", info.file),
+                    limit,
+                    wanted,
+                ));
+            }
         }
         let (cols, rows) = (info.cols as usize, info.rows as usize);
         let mut z = vec![f64::NAN; cols * rows];
@@ -106,7 +126,7 @@ impl Grid {
 
     /// How far `now` is from `z`: nothing if both are the same float32 and that is what the heights were, or if they differ in
     /// the last digits of a double, by the arithmetic alone.
-    fn change(&self, z: f64, now: f64) -> f64 {
+    pub fn change(&self, z: f64, now: f64) -> f64 {
         let off = (now - z).abs();
         let same = self.single && now as f32 == z as f32 || off <= 4.0 * f64::EPSILON * z.abs();
         if same { 0.0 } else { off }
@@ -171,8 +191,19 @@ impl Grid {
     }
 }
 
+/// Whole units that an error in the unit of heights leaves to the codec, `rounding` taken off. `option` is what asked for it.
+///
+/// # Errors
+/// If it is no number of at least 0.
+pub fn units_within(option: &str, asked: f64, rounding: f64, unit: f64) -> Result<u64> {
+    if !(asked.is_finite() && asked >= 0.0) {
+        return Err(Error::invalid(option, format!("{asked}; a bound is a number of at least 0")));
+    }
+    Ok(((asked - rounding).max(0.0) / unit + 1e-9).floor() as u64)
+}
+
 /// The last part of a path.
-fn name_of(file: &str) -> String {
+pub fn name_of(file: &str) -> String {
     let name = file.rsplit('/').next().unwrap_or(file);
     name.chars().filter(|c| !c.is_control()).take(200).collect()
 }

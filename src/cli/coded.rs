@@ -1,0 +1,82 @@
+//! What commands on files of the codecs (GTB, fractal tiles) share: reading them, bars, words.
+
+use super::output::{Meter, message, stop_flag};
+use crate::base::{Error, Result, limits};
+use crate::export::Going;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use terraquilt_codecs::{fractal, gtb};
+
+/// Whose file is read.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Codec {
+    Gtb,
+    Fractal,
+}
+
+/// Works with a bar on the terminal, until it is done or stopped by Ctrl-C.
+pub fn metered<R>(work: impl FnOnce(Going) -> Result<R>) -> Result<R> {
+    let (meter, stop) = (Meter::new(), stop_flag());
+    let done = work(&|stage, share| {
+        meter.report(stage, share);
+        !stop.load(Ordering::Relaxed)
+    });
+    meter.clear();
+    done
+}
+
+/// Reads what is there of a file, or of standard input (`-`): the first `most` bytes at most. A file of the other codec is sent to its own word.
+pub fn bytes_of(path: &Path, codec: Codec, most: Option<u64>) -> Result<(String, Vec<u8>)> {
+    let name = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
+    let limit = match codec {
+        Codec::Gtb => limits::GTB_BYTES_MAX,
+        Codec::Fractal => limits::FRACTAL_BYTES_MAX,
+    };
+    let take = most.unwrap_or(u64::MAX).min(limit + 1);
+    let mut bytes = Vec::new();
+    let read = if path == Path::new("-") {
+        std::io::stdin().lock().take(take).read_to_end(&mut bytes)
+    } else {
+        let file = File::open(path).map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => Error::missing(format!("file {name}"), "check the name"),
+            _ => Error::io(path, e),
+        })?;
+        file.take(take).read_to_end(&mut bytes)
+    };
+    read.map_err(|e| Error::io(path, e))?;
+    if bytes.len() as u64 > limit {
+        return Err(Error::limit(format!("bytes of {name}"), limit, bytes.len() as u64));
+    }
+    let (what, wanted, word) = match codec {
+        Codec::Gtb if bytes.starts_with(&fractal::header::MAGIC) => ("a fractal tile", "GTB file", "fractal"),
+        Codec::Fractal if bytes.starts_with(&gtb::header::MAGIC) => ("a GTB file", "fractal tile", "gtb"),
+        _ => return Ok((name, bytes)),
+    };
+    Err(Error::unsupported(name, format!("{what}, not a {wanted}"), format!("use `terraquilt {word}`")))
+}
+
+/// Lines for the person.
+pub fn notes(lines: &[String]) {
+    lines.iter().for_each(|n| message(&format!("note: {n}")));
+}
+
+/// A height or an error, for people: as many digits as matter.
+pub fn short(v: f64) -> String {
+    if v == 0.0 || (1e-3..1e6).contains(&v.abs()) {
+        let text = format!("{v:.4}");
+        text.trim_end_matches('0').trim_end_matches('.').to_string()
+    } else {
+        format!("{v:.3e}")
+    }
+}
+
+/// The unit of heights, with a space before it; nothing where it is not known.
+pub fn unit_of(vertical: &str) -> String {
+    match vertical.split(' ').next().unwrap_or("") {
+        "" | "?" => String::new(),
+        unit if unit.parse::<f64>().is_ok() => format!(" units of {unit} m"),
+        unit => format!(" {unit}"),
+    }
+}
