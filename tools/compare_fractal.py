@@ -4,9 +4,9 @@
     python3 -m venv target/python && target/python/bin/pip install -r tools/compare_gtb_requirements.txt
     target/python/bin/python tools/compare_fractal.py PROGRAM [--only table1,table2,F1,F7] [--into docs/fractal.md]
 
-PROGRAM is a release build of `terraquilt`. Needs the shared data beside the checkout and cargo, which builds two examples of codecs/. --into
-replaces the part of the file between the marks of this tool. Sizes are those of real files. Every picture is decoded again and
-compared with its source here; of distance fields the program's own measurement stands.
+PROGRAM is a release build of `terraquilt`. Needs the shared data beside the checkout and cargo, which builds examples of codecs/. --into
+replaces the part of the file between the marks of this tool. Sizes are those of real files; everything is decoded again and compared with
+its source here. Pictures go through PROGRAM, distance fields through the example `solids`, which gives the field away, too.
 """
 
 import argparse
@@ -34,10 +34,10 @@ TABLE_1 = [
     ("Terrain", "quad 5000", None, None, None, ["Puget", "Fuji"]),
     ("Terrain", "quad 20000", 283.578, 49.63, 2.49, ["Puget", "Fuji"]),
     ("Terrain", "quad 40000", 501.359, 53.86, 1.24, ["Puget", "Fuji"]),
-    ("Eagle", "const range2", 257.765, 50.15, 2.10, ["coffee"]),
-    ("Eagle", "const range1", 1155.125, 62.07, 0.53, ["coffee"]),
-    ("Eagle", "quad 40000", 228.469, 47.67, 3.33, ["coffee"]),
-    ("Eagle", "quad 80000", 476.062, 53.79, 2.10, ["coffee"]),
+    ("Eagle", "const range2", 257.765, 50.15, 2.10, ["coffee", "coffee, whole colour"]),
+    ("Eagle", "const range1", 1155.125, 62.07, 0.53, ["coffee", "coffee, whole colour"]),
+    ("Eagle", "quad 40000", 228.469, 47.67, 3.33, ["coffee", "coffee, whole colour"]),
+    ("Eagle", "quad 80000", 476.062, 53.79, 2.10, ["coffee", "coffee, whole colour"]),
     ("Bunny", "const range2", 14.844, 39.74, 6.93, ["bunny"]),
     ("Bunny", "const range1", 71.500, 61.15, 1.12, ["bunny"]),
     ("Bunny", "quad 5000", 42.875, 39.71, 13.87, ["bunny"]),
@@ -47,6 +47,8 @@ TABLE_1 = [
     ("Dragon", "quad 20000", 2187.797, 42.55, 26.63, ["dragon"]),
     ("Dragon", "quad 40000", 2963.063, 42.70, 20.49, ["dragon"]),
 ]
+# What a stand-in takes beside its parameters. By default the colour planes are half as large along each axis.
+OPTIONS = {"coffee, whole colour": ["--chroma", "1"]}
 # Table 2: model, parameters, by zoom the seconds of the discrete and of the real decoder.
 TABLE_2 = [
     ("Lenna", "quad 10000", "photo", {50: (0.078, 0.062), 100: (0.125, 0.250), 200: (0.484, 0.969)}),
@@ -65,50 +67,73 @@ PROTOTYPE = [
 ]  # fmt: skip
 
 
+def said_by(command):
+    """What a program prints as JSON, line by line."""
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, command))}: {done.stderr.strip()}")
+    return [json.loads(row) for row in done.stdout.splitlines()]
+
+
 class Fractal:
-    """`terraquilt fractal` in a folder of its own; what was encoded once is kept."""
+    """The coders in a folder of their own; what was encoded once is kept."""
 
     def __init__(self, program):
         self.program = program
+        self.solids = build("solids")
         self.folder = tempfile.TemporaryDirectory()
+        self.sources = {}
         self.done = {}
 
-    def run(self, *args):
-        done = subprocess.run([self.program, "fractal", *map(str, args)], capture_output=True, text=True)
-        if done.returncode:
-            raise SystemExit(f"fractal {' '.join(map(str, args))}: {done.stderr.strip()}")
-        return done.stdout
+    def file(self, name):
+        return Path(self.folder.name, name.replace(" ", "_").replace(",", ""))
 
     def source(self, name):
-        """A file for the program, and its raw bytes."""
-        if name in MESHES:
-            _, file, side = MESHES[name]
-            return [file, "--size", side], side**3
-        samples = PICTURES[name][1]()
-        file = Path(self.folder.name, f"{name}.png")
-        Image.fromarray(samples).save(file)
-        return [file], samples.size
+        """The samples as bytes, and a file of them."""
+        if name not in self.sources:
+            if name in MESHES:
+                _, mesh, side = MESHES[name]
+                file = self.file(f"{name}.field")
+                said_by([self.solids, "field", mesh, side, file])
+                samples = np.fromfile(file, np.int8).reshape(side, side, side)
+            else:
+                file, samples = self.file(f"{name}.png"), PICTURES[name][1]()
+                Image.fromarray(samples).save(file)
+            self.sources[name] = samples, file
+        return self.sources[name]
 
     def encoded(self, name, parameters):
         """Seconds, PSNR, ratio and the file."""
         key = name, parameters
         if key not in self.done:
-            source, raw = self.source(name)
-            file = Path(self.folder.name, f"{name} {parameters}.ifs".replace(" ", "_"))
-            kind, value = parameters.replace("range", "").split()
-            options = ["--maps", value] if kind == "quad" else ["--const", value]
-            said = json.loads(self.run("encode", source[0], file, *source[1:], *options, "--search", "exact", "--json"))
-            if said["bytes"] != file.stat().st_size:
-                raise SystemExit(f"{file.name} has {file.stat().st_size} bytes, {said['bytes']} were said")
-            self.done[key] = said["seconds"], self.quality(name, file, said), raw / said["bytes"], file
+            samples, source = self.source(name)
+            file = self.file(f"{name} {parameters}.ifs")
+            kind, value = parameters.replace("quad", "maps").replace("range", "").split()
+            if name in MESHES:
+                side, out = MESHES[name][2], self.file("out")
+                [said] = said_by([self.solids, "encode", source, side, kind, value, file])
+                said_by([self.solids, "decode", file, out])
+                again = np.fromfile(out, np.int8).reshape(samples.shape)
+            else:
+                options = [f"--{kind}", value, *OPTIONS.get(name, []), "--search", "exact", "--json"]
+                [said] = said_by([self.program, "fractal", "encode", source, file, *options])
+                out = self.file("out.png")
+                said_by([self.program, "fractal", "decode", file, out, "--json"])
+                again = np.array(Image.open(out))
+            size = file.stat().st_size
+            if said["bytes"] != size:
+                raise SystemExit(f"{file.name} has {size} bytes, {said['bytes']} were said")
+            self.done[key] = said["seconds"], psnr(again, samples), samples.size / size, file
         return self.done[key]
 
-    def quality(self, name, file, said):
-        if name in MESHES:
-            return np.inf if said["psnr_db"] is None else said["psnr_db"]
-        out = file.with_suffix(".png")
-        self.run("decode", file, out)
-        return psnr(np.array(Image.open(out)), PICTURES[name][1]())
+
+def as_picture(samples):
+    """Samples for coders of pictures: the layers of a volume side by side, eight a row."""
+    if samples.ndim == 3 and samples.dtype == np.int8:
+        n = len(samples)
+        rows = (samples.astype(int) + 128).astype(np.uint8).reshape(n // 8, 8, n, n)
+        return rows.transpose(0, 2, 1, 3).reshape(n // 8 * n, 8 * n)
+    return samples
 
 
 def decibels(value):
@@ -125,10 +150,8 @@ def table_1(fractal):
     for model, parameters, seconds, quality, ratio, names in TABLE_1:
         for name in names:
             own_seconds, own, own_ratio, _ = fractal.encoded(name, parameters)
-            rivals = ["-"] * 3
-            if name in PICTURES:
-                samples = PICTURES[name][1]()
-                rivals = [number(samples.size / n) for n in (*at(samples, own), lossless_jpeg_xl(samples))]
+            picture = as_picture(fractal.source(name)[0])
+            rivals = [number(picture.size / n) for n in (*at(picture, own), lossless_jpeg_xl(picture))]
             yield line(
                 f"{model} {parameters}", number(seconds, 1), decibels(quality), number(ratio),
                 f"{name} {parameters}", number(own_seconds), decibels(own), f"**{own_ratio:.2f}**", *rivals,
@@ -140,8 +163,7 @@ def table_2(fractal, program):
     yield line(*["---"] * 9)
     for model, parameters, name, published in TABLE_2:
         file = fractal.encoded(name, parameters)[3]
-        said = subprocess.run([program, str(file)], check=True, capture_output=True, text=True).stdout
-        for row in map(json.loads, said.splitlines()):
+        for row in said_by([program, file]):
             theirs = published[row["zoom"]]
             faster = " / ".join(f"{t / row[k]:.0f}" for t, k in zip(theirs, ("discrete", "real")))
             ms = [f"{row[k] * 1000:.1f} ms" for k in ("discrete", "real", "seeded")]

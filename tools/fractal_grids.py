@@ -35,6 +35,7 @@ PICTURES = {
     "Puget": ("DEM, 8 bits, 512²", lambda: picture("puget_dem_512_8bit.png")),
     "Fuji": ("DEM, 8 bits, 512²", fuji),
     "coffee": ("RGB, 600 x 400", lambda: picture("coffee.png")),
+    "coffee, whole colour": ("the same", lambda: picture("coffee.png")),
 }
 # Name: what it is, its file, and samples a side.
 MESHES = {

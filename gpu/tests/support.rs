@@ -44,8 +44,17 @@ pub fn tile(seed: u64, size: [usize; 2], range_min_log: u32) -> Walk<2> {
 
 /// As [`tile`], at another height.
 pub fn tile_above(origin: f64, seed: u64, size: [usize; 2], range_min_log: u32) -> Walk<2> {
-    let shape =
-        Shape { size, range_max_log: 5, range_min_log, jump: 4, isometries: 8, near: 0, step: 0.25, origin };
+    let shape = Shape {
+        size,
+        range_max_log: 5,
+        range_min_log,
+        jump: 4,
+        isometries: 8,
+        near: 0,
+        scale_bits: 5,
+        step: 0.25,
+        origin,
+    };
     shape.check().unwrap();
     let mut r = Random::new(seed);
     let mut ifs = Ifs { shape, leaves: vec![], units: vec![], unit_means: vec![], complete: true };

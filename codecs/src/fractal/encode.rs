@@ -163,7 +163,11 @@ pub fn encode_heights(
     }
     let known = || heights.z.iter().enumerate().filter(|(k, _)| !heights.is_void(*k)).map(|(_, z)| *z);
     let range = [known().min().unwrap_or(0), known().max().unwrap_or(0)];
-    let shape = Shape { origin: f64::from(range[0]), ..options.shape(size)? };
+    let mut shape = Shape { origin: f64::from(range[0]), ..options.shape(size)? };
+    // Numbers of means have room for no more.
+    while (f64::from(range[1]) - shape.origin) / shape.step > f64::from(tree::MEAN_MAX / 2) {
+        shape.step *= 2.0;
+    }
     let mut values: Vec<f64> = heights.z.iter().map(|z| f64::from(*z)).collect();
     mask::filled(&mut values, &heights.void, heights.cols);
     let weights: Vec<f32> = (0..values.len())

@@ -18,6 +18,8 @@ pub const VOLUME_SIDE_MAX: usize = 512;
 /// Most samples of a plane or of a volume.
 pub const SAMPLES_MAX: u64 = 1 << 27;
 
+/// Greatest origin and step of means: far beyond any height in units, so that nothing runs out of the numbers.
+const VALUE_MAX: f64 = (1_u64 << 40) as f64;
 /// Samples beyond a quarter of a tile's own that whole ranges may add.
 const PADDING: u64 = 4096;
 
@@ -74,7 +76,8 @@ impl<const D: usize> Shape<D> {
             ));
         }
         let padded = self.padded().iter().fold(1, |n: u64, s| n.saturating_mul(*s as u64));
-        if padded > self.samples() + self.samples() / 4 + PADDING {
+        // A row of posts has ranges of 2, and as many samples again.
+        if max > 1 && padded > self.samples() + self.samples() / 4 + PADDING {
             return Err(Error::invalid(
                 "ranges",
                 format!(
@@ -96,10 +99,13 @@ impl<const D: usize> Shape<D> {
             ));
         }
         isometry::group::<D>(self.isometries)?;
-        if !(self.step.is_finite() && self.step > 0.0 && self.origin.is_finite()) {
+        if !(self.step > 0.0 && self.step <= VALUE_MAX && self.origin.abs() <= VALUE_MAX) {
             return Err(Error::invalid(
                 "means",
-                format!("step {}, origin {}; finite, the step above 0", self.step, self.origin),
+                format!(
+                    "step {}, origin {}; up to {VALUE_MAX} either way are allowed, the step above 0",
+                    self.step, self.origin
+                ),
             ));
         }
         Ok(())

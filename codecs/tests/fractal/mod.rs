@@ -2,6 +2,7 @@
 
 mod bounded;
 mod damage;
+mod golden;
 mod planes;
 mod published;
 mod volumes;

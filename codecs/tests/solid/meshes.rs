@@ -1,6 +1,7 @@
 //! Meshes that are not as they should be.
 
-use super::bodies::{both, cuboid, sphere};
+use super::bodies::{both, cuboid, sphere, to_cuboid};
+use crate::support::random::Random;
 use terraquilt_codecs::Error;
 use terraquilt_codecs::solid::mending::mended;
 use terraquilt_codecs::solid::mesh::COORDINATE_MAX;
@@ -66,6 +67,62 @@ fn what_is_wrong_is_counted() {
     triangles.extend([[18, 1, 19], [19, 1, 0]]);
     let found = report(&Mesh { positions: band, triangles });
     assert_eq!((found.one_sided_edges, found.open_edges, found.components), (1, 20, 1));
+}
+
+/// Of triangles on the same corners one stays, and none of two back to back.
+#[test]
+fn doubled_triangles_cancel() {
+    let sound = cuboid([0.0; 3], [1.0; 3]);
+    let mut mesh = both(&sound, &sound);
+    let (found, said) = mended(&mesh).unwrap();
+    assert_eq!((found.triangles.len(), said.doubled), (12, 12));
+    assert!(said.is_closed());
+    // A flap: out from an edge and back.
+    let alone = mended(&sound).unwrap().0.triangles;
+    mesh = sound.clone();
+    mesh.positions.push([-3.0, 0.0, 0.0]);
+    mesh.triangles.extend([[0, 4, 8], [8, 4, 0]]);
+    let (found, said) = mended(&mesh).unwrap();
+    assert_eq!((found.triangles, said.doubled, said.crowded_edges), (alone, 2, 0));
+    mesh.triangles.drain(..12);
+    let said = mended(&mesh).unwrap_err().to_string();
+    assert!(said.contains("2 lie back to back"), "{said}");
+}
+
+/// Every hole is closed by triangles that face as the rest: also holes that touch at a corner.
+#[test]
+fn holes_are_closed() {
+    let sound = sphere([0.0; 3], 1.0, 3);
+    let whole = mended(&sound).unwrap().0;
+    let mut r = Random::new(3);
+    for _ in 0..50 {
+        let missing = 0.02 + 0.3 * r.unit();
+        let triangles = whole.triangles.iter().filter(|_| r.unit() > missing).copied().collect();
+        let (closed, said) = mended(&Mesh { triangles, ..whole.clone() }).unwrap();
+        assert!(said.holes > 0 && said.open_edges > 2);
+        let mut sides: Vec<[u32; 2]> =
+            closed.triangles.iter().flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]]).collect();
+        let mut back: Vec<[u32; 2]> = sides.iter().map(|[a, b]| [*b, *a]).collect();
+        sides.sort();
+        back.sort();
+        assert_eq!(sides, back, "a side that none runs back along");
+        assert!(closed.volume() > 0.5 * whole.volume());
+    }
+}
+
+/// Boxes that cross: what is inside of either is inside, though the nearest triangle may face the other way.
+#[test]
+fn crossing_parts_are_one() {
+    let (a, b) = ([[0.0; 3], [10.0; 3]], [[4.0, 4.0, 4.0], [16.0, 7.0, 7.0]]);
+    let mesh = both(&cuboid(a[0], a[1]), &cuboid(b[0], b[1]));
+    let (field, said) = field(&mesh, 40);
+    assert!(said.is_closed() && said.resigned > 0);
+    assert_eq!(said.torn, 0);
+    for (k, value) in field.values.iter().enumerate() {
+        let p = field.window.from_voxels([k % 40, k / 40 % 40, k / 1600].map(|v| v as f64 + 0.5));
+        let depth = to_cuboid(p, a[0], a[1]).max(to_cuboid(p, b[0], b[1])) / field.window.voxel;
+        assert!(depth.abs() < 0.07 || (depth > 0.0) == (*value >= 0), "{p:?}: {value}, {depth}");
+    }
 }
 
 #[test]
