@@ -20,6 +20,9 @@ use terraquilt_codecs::fractal::{Options, Partition, Search};
 
 /// Write a DEM, a picture or a mesh as a fractal tile: maps of the grid to itself
 ///
+/// The grid is cut into squares, small ones where it is rough (ranges). A map says how each is a turned, mirrored, fainter copy of a square of twice its side
+/// elsewhere in the grid (its domain). More maps: a better copy, a larger file.
+///
 /// How far to go is said by --maps, --const, --tolerance or --slope; --bound adds, for heights, what keeps every sample within E, and chooses the maps for the
 /// smallest file if nothing else does.
 #[derive(Args)]
