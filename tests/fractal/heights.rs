@@ -23,12 +23,14 @@ fn a_bound_is_kept_and_without_one_the_error_is_what_was_measured() {
     let (dem, ifs, out) = (f.path("dem.tif"), f.path("a.ifs"), f.path("a.tif"));
     tif(&dem, 70, 45, hills);
     let before = grid_of(&dem);
+    let voids = before.z.iter().filter(|z| z.is_nan()).count() as u64;
+    assert!(voids > 20);
     for bound in ["0", "0.04", "1", "2.5", "40"] {
         let told = json(&["fractal", "encode", &dem, &ifs, "--bound", bound]);
         let asked: f64 = bound.parse().unwrap();
         let (error, promised) = (told["error_max"].as_f64().unwrap(), told["error_bound"].as_f64().unwrap());
         assert!(error <= promised && promised <= asked + 1e-12, "{told}");
-        assert_eq!((&told["certified"], told["voids"].as_u64()), (&true.into(), Some(57)));
+        assert_eq!((&told["certified"], told["voids"].as_u64()), (&true.into(), Some(voids)));
         assert_eq!(told["bytes"].as_u64().unwrap(), std::fs::metadata(&ifs).unwrap().len());
         let shown = json(&["fractal", "decode", &ifs, &out]);
         let found = difference(&before, &grid_of(&out));
@@ -124,7 +126,7 @@ fn zooms_keep_the_means_and_say_what_is_synthetic() {
             // Between 2 and 4: its cells are means of those, or points of the same function.
             printed(&["fractal", "decode", &ifs, &out, "--zoom", "2.5", "--detail", detail]);
             let some = grid_of(&out);
-            assert_eq!((some.cols, some.rows), (175, 113));
+            assert_eq!((some.cols, some.rows), (175, 112));
             let span = |z: &[f64]| {
                 z.iter()
                     .filter(|z| !z.is_nan())
