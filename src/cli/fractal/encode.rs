@@ -78,6 +78,9 @@ pub struct Encode {
     /// Step in which means are stored, in the file's own units
     #[arg(long, value_name = "STEP", allow_negative_numbers = true)]
     step: Option<f64>,
+    /// Bits in which the contrast of a map is stored, 2 to 8 [default: 5, with --const 7]
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(2..=8))]
+    scale_bits: Option<u32>,
     /// Colours: the two colour planes are so many times smaller along each axis: 1, 2 or 4
     #[arg(long, value_name = "N", default_value_t = 2)]
     chroma: u64,
@@ -230,6 +233,7 @@ impl Encode {
             isometries: self.isometries.map(size),
             near: self.near.map(size),
             step: self.step,
+            scale_bits: self.scale_bits,
             chroma: size(self.chroma),
             ..Options::default()
         };
