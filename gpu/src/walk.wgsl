@@ -32,16 +32,21 @@ fn mirrored(p: vec2<u32>, side: u32) -> vec2<u32> {
     return vec2<u32>(side - p.x - select(0u, 1u, p.y != 0u), 0u - p.y);
 }
 
-// corner + 2 p, in a grid of `size` cells. A mirror takes the open end of a range to the closed one: there it is just inside.
-fn doubled(p: vec2<u32>, corner: u32, size: u32) -> vec2<u32> {
-    let cell = corner + ((p.x << 1u) | (p.y >> 31u));
-    return select(vec2<u32>(size - 1u, 0xfffffffcu), vec2<u32>(cell, p.y << 1u), cell < size);
+// corner + 2 p
+fn doubled(p: vec2<u32>, corner: u32) -> vec2<u32> {
+    return vec2<u32>(corner + ((p.x << 1u) | (p.y >> 31u)), p.y << 1u);
+}
+
+// The centre of the part of side 2^-depth that holds a place: mirrors keep it off the edges of ranges.
+fn centred(p: vec2<u32>, depth: u32) -> vec2<u32> {
+    let half = 0x80000000u >> min(depth, 31u);
+    return vec2<u32>(p.x, (p.y & ~((half << 1u) - 1u)) | half);
 }
 
 // The value at a place in the tile after `depth` steps, in shares of the height range.
 fn walk(x_start: vec2<u32>, y_start: vec2<u32>, depth: u32) -> f32 {
-    var x = x_start;
-    var y = y_start;
+    var x = centred(x_start, depth);
+    var y = centred(y_start, depth);
     var sum = 0.0;
     var factor = 1.0;
     for (var step = 0u; step < depth; step++) {
@@ -66,8 +71,8 @@ fn walk(x_start: vec2<u32>, y_start: vec2<u32>, depth: u32) -> f32 {
         if (leaf.turn & 4u) != 0u {
             v = mirrored(v, leaf.side);
         }
-        x = doubled(u, leaf.domain.x, shape.size.x);
-        y = doubled(v, leaf.domain.y, shape.size.y);
+        x = doubled(u, leaf.domain.x);
+        y = doubled(v, leaf.domain.y);
     }
     return sum + factor * seed[y.x * shape.size.x + x.x];
 }

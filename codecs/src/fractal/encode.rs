@@ -90,6 +90,13 @@ impl Options {
     }
 
     fn shape<const D: usize>(&self, size: [usize; D]) -> Result<Shape<D>> {
+        self.partition.map_or(Ok(()), Partition::check)?;
+        if self.search == Search::Near(0) {
+            return Err(Error::invalid(
+                "search",
+                "near 0 domains along each axis; at least 1, or no range has a map",
+            ));
+        }
         let mut min = self.range_min;
         if let Some(Partition::Const(r)) = self.partition {
             min = r;
@@ -163,11 +170,8 @@ pub fn encode_heights(
     }
     let known = || heights.z.iter().enumerate().filter(|(k, _)| !heights.is_void(*k)).map(|(_, z)| *z);
     let range = [known().min().unwrap_or(0), known().max().unwrap_or(0)];
-    let mut shape = Shape { origin: f64::from(range[0]), ..options.shape(size)? };
-    // Numbers of means have room for no more.
-    while (f64::from(range[1]) - shape.origin) / shape.step > f64::from(tree::MEAN_MAX / 2) {
-        shape.step *= 2.0;
-    }
+    let shape =
+        with_room(Shape { origin: f64::from(range[0]), ..options.shape(size)? }, range.map(f64::from));
     let mut values: Vec<f64> = heights.z.iter().map(|z| f64::from(*z)).collect();
     mask::filled(&mut values, &heights.void, heights.cols);
     let weights: Vec<f32> = (0..values.len())
@@ -295,7 +299,7 @@ pub fn encode_picture(
     let mut c = Encoder::new();
     let mut maps = 0;
     for (values, size) in &planes {
-        let shape = options.shape(*size)?;
+        let shape = with_room(options.shape(*size)?, [-255.0, 255.0]);
         let grid = padded(values, *size, &shape);
         let by = if size == &[cols, rows] { 1 } else { options.chroma };
         let weights = match weights {
@@ -309,7 +313,10 @@ pub fn encode_picture(
         let candidates = Candidates::search(&shape, &grid, &weights, options, workers)?;
         // A plane gets maps by its samples.
         let partition = match options.partition.unwrap_or(Partition::Slope(100.0)) {
-            Partition::Maps(n) => Partition::Maps((n as u64 * values.len() as u64 / total as u64) as usize),
+            Partition::Maps(n) => {
+                let own = n as u128 * values.len() as u128 / total as u128;
+                Partition::Maps(usize::try_from(own).unwrap_or(usize::MAX))
+            }
             p => p,
         };
         let ifs = tree::code(&shape, &candidates.plan(partition)?, &mut c);
@@ -347,7 +354,7 @@ pub fn encode_volume(
     if options.bound.is_some() {
         return Err(Error::invalid("bound", "is for heights; a volume states the error that was measured"));
     }
-    let shape = options.shape(size)?;
+    let shape = with_room(options.shape(size)?, [-127.0, 127.0]);
     let grid = padded(&values.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>(), size, &shape);
     let weights: Vec<f32> =
         values.iter().map(|v| if v.unsigned_abs() <= SURFACE { SURFACE_WEIGHT } else { 1.0 }).collect();
@@ -369,6 +376,15 @@ pub fn encode_volume(
         let found = tile.volume()?;
         Ok(summed(found.values.iter().zip(values).map(|(a, b)| (a - f64::from(*b)).abs())))
     })
+}
+
+/// The same with the step doubled until numbers of means have room for values from the one to the other.
+fn with_room<const D: usize>(mut shape: Shape<D>, values: [f64; 2]) -> Shape<D> {
+    let farthest = values.map(|v| (v - shape.origin).abs()).into_iter().fold(0.0, f64::max);
+    while farthest / shape.step > f64::from(tree::MEAN_MAX / 2) {
+        shape.step *= 2.0;
+    }
+    shape
 }
 
 fn head(options: &Options, shapes: Shapes) -> Header {

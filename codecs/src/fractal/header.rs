@@ -37,6 +37,12 @@ pub struct Space {
     pub voxel: f64,
 }
 
+impl Space {
+    fn is_sound(&self) -> bool {
+        self.origin.into_iter().all(f64::is_finite) && self.voxel.is_finite() && self.voxel > 0.0
+    }
+}
+
 /// The shape of a plane or of the volume.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shapes {
@@ -233,7 +239,7 @@ impl Header {
         place.source = r.text()?;
         let space = if kind == Kind::Volume {
             let s = Space { origin: [r.real()?, r.real()?, r.real()?], voxel: r.real()? };
-            if s.origin.iter().any(|v| !v.is_finite()) || !(s.voxel.is_finite() && s.voxel > 0.0) {
+            if !s.is_sound() {
                 return Err(Error::damaged(
                     "head",
                     format!("a volume at {:?} with voxels of {}", s.origin, s.voxel),
@@ -244,11 +250,14 @@ impl Header {
             None
         };
         let shapes = match kind {
-            Kind::Volume => Shapes::Volume(shape_in(size, &mut r)?),
+            Kind::Volume => Shapes::Volume(shape_in(size, 1, &mut r)?),
             Kind::Colour => {
-                Shapes::Planes((0..3).map(|_| shape_in([size[0], size[1]], &mut r)).collect::<Result<_>>()?)
+                let plane = [size[0], size[1]];
+                Shapes::Planes(
+                    [1, 4, 4].map(|most| shape_in(plane, most, &mut r)).into_iter().collect::<Result<_>>()?,
+                )
             }
-            _ => Shapes::Planes(vec![shape_in([size[0], size[1]], &mut r)?]),
+            _ => Shapes::Planes(vec![shape_in([size[0], size[1]], 1, &mut r)?]),
         };
         if let Search::Near(width) = &mut search {
             *width = match &shapes {
@@ -297,6 +306,15 @@ impl Header {
                 ),
             ));
         }
+        if let Some(s) = self.space.filter(|s| !s.is_sound()) {
+            return Err(Error::invalid(
+                "place",
+                format!(
+                    "a volume at {:?} with voxels of {}; finite numbers and a side above 0 are needed",
+                    s.origin, s.voxel
+                ),
+            ));
+        }
         let texts = p.crs.len() + p.vertical.len() + p.source.len();
         if texts > TEXT_BYTES_MAX {
             return Err(Error::Limit {
@@ -333,12 +351,15 @@ fn shape_out<const D: usize>(s: &Shape<D>, size: [usize; 3], w: &mut Writer) {
     w.real(s.origin);
 }
 
-fn shape_in<const D: usize>(size: [usize; D], r: &mut Reader) -> Result<Shape<D>> {
+/// A shape that is at most so many times smaller than the tile.
+fn shape_in<const D: usize>(size: [usize; D], smaller_max: usize, r: &mut Reader) -> Result<Shape<D>> {
     let by = usize::from(r.byte()?);
-    if ![1, 2, 4].contains(&by) || (by > 1 && D > 2) {
+    if ![1, 2, 4].contains(&by) || by > smaller_max {
         return Err(Error::damaged(
             "head",
-            format!("a plane that is {by} times smaller; 1, 2 and 4 are known"),
+            format!(
+                "a plane that is {by} times smaller than the tile; I and Q are 1, 2 or 4 times, others 1"
+            ),
         ));
     }
     let (max, min) = (u32::from(r.byte()?), u32::from(r.byte()?));

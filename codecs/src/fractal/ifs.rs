@@ -20,7 +20,7 @@ pub const SAMPLES_MAX: u64 = 1 << 27;
 
 /// Greatest origin and step of means: far beyond any height in units, so that nothing runs out of the numbers.
 const VALUE_MAX: f64 = (1_u64 << 40) as f64;
-/// Samples beyond a quarter of a tile's own that whole ranges may add.
+/// Samples beyond a quarter of a tile's own that whole ranges may add: planes of a single row fit, of any length.
 const PADDING: u64 = 4096;
 
 /// What the numbers of leaves mean.

@@ -42,19 +42,26 @@ pub struct Iterated<const D: usize> {
     pub finished: bool,
 }
 
+/// A zoom in lowest terms.
+fn lowest([a, b]: [usize; 2]) -> [usize; 2] {
+    let (mut divisor, mut rest) = (a, b);
+    while rest > 0 {
+        (divisor, rest) = (rest, divisor % rest);
+    }
+    [a / divisor.max(1), b / divisor.max(1)]
+}
+
 /// Leaves between two questions whether to go on.
 const LEAVES: usize = 4096;
 
 impl<const D: usize> Ifs<D> {
     /// Whether every range and every domain is whole samples at the zoom a / b.
-    pub fn zooms(&self, [a, b]: [usize; 2]) -> bool {
+    pub fn zooms(&self, zoom: [usize; 2]) -> bool {
         let s = &self.shape;
         let smallest = if self.units.is_empty() { self.smallest() } else { 1 };
-        a > 0
-            && b > 0
-            && smallest * a % b == 0
-            && (s.jump / 2 * a).is_multiple_of(b)
-            && s.padded().iter().all(|n| n * a % b == 0)
+        let [a, b] = lowest(zoom);
+        // In lowest terms a times n is whole bs where n is.
+        a > 0 && b > 0 && [smallest, s.jump / 2].into_iter().chain(s.padded()).all(|n| n.is_multiple_of(b))
     }
 
     fn smallest(&self) -> usize {
@@ -72,6 +79,7 @@ impl<const D: usize> Ifs<D> {
         stop: Stop,
         going: &mut dyn FnMut() -> bool,
     ) -> Result<Iterated<D>> {
+        let zoom = lowest(zoom);
         let [a, b] = zoom;
         if !self.zooms(zoom) {
             return Err(Error::invalid(
@@ -116,12 +124,13 @@ impl<const D: usize> Ifs<D> {
         stop: Stop,
         going: &mut dyn FnMut() -> bool,
     ) -> Result<Iterated<D>> {
-        if seed.size != self.shape.padded() {
+        if seed.size != self.shape.padded() || seed.values.len() != seed.size.iter().product() {
             return Err(Error::invalid(
                 "seed",
                 format!(
-                    "{:?} samples; {:?} are needed, the size in whole ranges",
+                    "{:?} samples in {} values; {:?} are needed, the size in whole ranges",
                     seed.size,
+                    seed.values.len(),
                     self.shape.padded()
                 ),
             ));
@@ -130,7 +139,7 @@ impl<const D: usize> Ifs<D> {
     }
 
     fn zoomed(&self, [a, b]: [usize; 2]) -> Result<[usize; D]> {
-        let size = self.shape.padded().map(|n| n as u64 * a as u64 / b as u64);
+        let size = self.shape.padded().map(|n| (n as u64).saturating_mul(a as u64) / b as u64);
         let samples = size.iter().fold(1, |n: u64, s| n.saturating_mul(*s));
         if samples > super::ifs::SAMPLES_MAX * 2 {
             return Err(Error::Limit {

@@ -23,6 +23,18 @@ pub enum Partition {
     Slope(f64),
 }
 
+impl Partition {
+    /// Refuses tolerances and slopes that are no numbers, or below 0.
+    pub(super) fn check(self) -> Result<()> {
+        match self {
+            Partition::Tolerance(v) | Partition::Slope(v) if !(v >= 0.0 && v.is_finite()) => {
+                Err(Error::invalid("partition", format!("{self:?}; a finite number from 0 is needed")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 /// What a range could be.
 #[derive(Clone, Copy, Debug)]
 struct Range<const D: usize> {
@@ -129,7 +141,8 @@ impl<'a, const D: usize> Candidates<'a, D> {
         let pick = Pick { shape: self.shape, ranges: &self.ranges };
         let (split, slope) = match partition {
             Partition::Maps(n) => pick.greedy(n, 0.0)?,
-            Partition::Tolerance(t) => pick.greedy(usize::MAX, t * t)?,
+            // A tolerance asks for the least error, whatever it costs.
+            Partition::Tolerance(t) => (pick.greedy(usize::MAX, t * t)?.0, 0.0),
             Partition::Const(_) => (pick.all_split(), 0.0),
             Partition::Slope(slope) => (pick.pruned(slope), slope),
         };
@@ -313,7 +326,7 @@ impl<const D: usize> Pick<'_, D> {
             slope =
                 MAP_SLOPE * (q.error - left).max(0.0) / (((1 << D) - 1) as f64 * self.dearest(q.level + 1));
         }
-        Ok((split, if squared > 0.0 { 0.0 } else { slope }))
+        Ok((split, slope))
     }
 
     fn queued(&self, level: usize, at: usize) -> Queued {

@@ -133,9 +133,12 @@ impl Tile {
         Ok(Heights { cols, rows, z, void: self.void.clone() })
     }
 
-    /// What a bound adds at a post, in units: it holds over the cell of the post at every zoom.
+    /// What a bound adds at a post, in units: it holds over the cell of the post at every zoom. 0 beyond the tile.
     pub fn added(&self, col: usize, row: usize) -> f64 {
         let Some(e) = self.header.bound else { return 0.0 };
+        if col >= self.header.size[0] || row >= self.header.size[1] {
+            return 0.0;
+        }
         let stride = self.planes[0].shape.padded()[0];
         let q = self.residual.get(row * stride + col).copied().unwrap_or(0);
         f64::from(q) * (2.0 * f64::from(e) + 1.0)

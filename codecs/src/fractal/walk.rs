@@ -134,12 +134,16 @@ impl<const D: usize> Walk<D> {
     /// Depth 0 is the sample itself. Whatever comes below it is synthetic.
     #[inline]
     pub fn value(&self, point: [f64; D], depth: u32) -> f64 {
+        let depth = depth.min(DEPTH_MAX);
+        let cells = f64::from(1_u32 << depth);
+        // The centre of the cell: mirrors keep it off edges, where the open end of a range becomes the closed one. In 40 bits all is exact.
         let mut p: [f64; D] = std::array::from_fn(|a| {
             // A point on the far border belongs to the last sample; NaN to the first.
-            point[a].max(0.0).min(self.size[a] as f64 - 1e-9)
+            let inside = point[a].max(0.0).min(self.size[a] as f64 - 1e-9);
+            ((inside * cells) as i64 as f64 + 0.5) / cells
         });
         let (mut sum, mut factor) = (0.0, 1.0);
-        for _ in 0..depth.min(DEPTH_MAX) {
+        for _ in 0..depth {
             let at = (0..D).rev().fold(0, |at, a| at * self.index.size[a] + (p[a] as usize >> self.cell_log));
             let step = &self.steps[self.index.of[at] as usize];
             sum += factor * step.offset;
@@ -150,10 +154,7 @@ impl<const D: usize> Walk<D> {
             let side = f64::from(step.side);
             let inner = std::array::from_fn(|a| p[a] - f64::from(step.range[a]));
             let q = self.group[usize::from(step.isometry)].source(inner, side);
-            p = std::array::from_fn(|a| {
-                // A mirror takes the open end of a range to the closed one.
-                (f64::from(step.domain[a]) + 2.0 * q[a]).min(self.grid.size[a] as f64 - 1e-9)
-            });
+            p = std::array::from_fn(|a| f64::from(step.domain[a]) + 2.0 * q[a]);
         }
         let at = (0..D).rev().fold(0, |at, a| at * self.grid.size[a] + p[a] as usize);
         sum + factor * self.grid.values[at]
@@ -173,7 +174,8 @@ impl<const D: usize> Walk<D> {
     /// All samples at zoom 2^k: k passes of single fetches, each from the one before. The whole box in whole ranges.
     pub fn doubled(&self, k: u32) -> Result<Grid<D>> {
         let samples = self.grid.values.len() as u64;
-        let wanted = samples.saturating_mul(1_u64.checked_shl(k * D as u32).unwrap_or(u64::MAX));
+        let wanted =
+            samples.saturating_mul(1_u64.checked_shl(k.saturating_mul(D as u32)).unwrap_or(u64::MAX));
         if wanted > 2 * SAMPLES_MAX {
             return Err(Error::Limit {
                 what: "samples of a decoded tile; take a smaller zoom or a window",

@@ -2,6 +2,7 @@
 
 mod bounded;
 mod damage;
+mod extremes;
 mod golden;
 mod planes;
 mod published;
