@@ -24,6 +24,8 @@ mod derivation;
 mod edges;
 /// Formats in, GeoTIFF out: every difficult file, damage, round trips.
 mod formats;
+/// Fractal tiles from files and to files: bounds, zooms, points, pictures, solids, damage.
+mod fractal;
 /// The surface as a fractal tile.
 mod fractal_surface;
 /// Meshes as GLB: within the bound, manifold, exact border.

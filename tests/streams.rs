@@ -246,7 +246,7 @@ fn what_cannot_be_is_refused_with_a_sentence() {
         (vec![&db, out, "--error", "0", "--step", "0.0001"], "a larger step"),
         (vec![&db, out, "--error", "3", "--bbox", "0,0,9,9"], "the surveys lie in"),
         (vec![&db, out, "--error", "3", "--resume"], "from a server"),
-        (vec![&db, tif.to_str().unwrap(), "--error", "3", "--bound", "1"], "is for .gtb files"),
+        (vec![&db, tif.to_str().unwrap(), "--error", "3", "--bound", "1"], "is for .gtb and .ifs files"),
         (vec![&empty, out, "--error", "3"], "database is empty"),
     ] {
         let line = refused(&[&["export"], &args[..]].concat(), 1);

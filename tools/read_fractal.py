@@ -454,4 +454,5 @@ def main():
     print(f"{tile.cols} x {tile.rows} samples of {len(leaves)} maps, off by {error} at most; {tile.source}")
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-use crate::support::{gpu, open, tile, tile_above};
+use crate::support::{gpu, open, shape, tile, tile_of};
 use terraquilt_gpu::{Error, SAMPLES_MAX, Window, wgpu};
 
 const WINDOW: Window = Window { x0: 0.0, y0: 0.0, step: 1.0, cols: 32, rows: 32, depth: 0 };
@@ -47,7 +47,7 @@ fn zooms_that_cannot_be_are_refused() {
 #[test]
 fn heights_that_are_no_numbers_are_refused() {
     let Some(gpu) = gpu() else { return };
-    let e = gpu.upload(&tile_above(f64::MAX, 2, [64, 64], 1)).err().unwrap().to_string();
+    let e = gpu.upload(&tile_of(shape(f64::MAX, [64, 64], 1), 2)).err().unwrap().to_string();
     assert!(e.starts_with("fractal tile: ") && e.contains("too far from the samples"), "{e}");
 }
 

@@ -44,7 +44,14 @@ pub fn tile(seed: u64, size: [usize; 2], range_min_log: u32) -> Walk<2> {
 
 /// As [`tile`], at another height.
 pub fn tile_above(origin: f64, seed: u64, size: [usize; 2], range_min_log: u32) -> Walk<2> {
-    let shape = Shape {
+    let shape = shape(origin, size, range_min_log);
+    shape.check().unwrap();
+    tile_of(shape, seed)
+}
+
+/// A shape that may be beyond what files hold.
+pub fn shape(origin: f64, size: [usize; 2], range_min_log: u32) -> Shape<2> {
+    Shape {
         size,
         range_max_log: 5,
         range_min_log,
@@ -54,8 +61,11 @@ pub fn tile_above(origin: f64, seed: u64, size: [usize; 2], range_min_log: u32) 
         scale_bits: 5,
         step: 0.25,
         origin,
-    };
-    shape.check().unwrap();
+    }
+}
+
+/// As [`tile`], of any shape.
+pub fn tile_of(shape: Shape<2>, seed: u64) -> Walk<2> {
     let mut r = Random::new(seed);
     let mut ifs = Ifs { shape, leaves: vec![], units: vec![], unit_means: vec![], complete: true };
     let [across, down] = ifs.shape.cells(0);

@@ -20,8 +20,8 @@ pub const SAMPLES_MAX: u64 = 1 << 27;
 
 /// Greatest origin and step of means: far beyond any height in units, so that nothing runs out of the numbers.
 const VALUE_MAX: f64 = (1_u64 << 40) as f64;
-/// Samples beyond a quarter of a tile's own that whole ranges may add: planes of a single row fit, of any length.
-const PADDING: u64 = 16_384;
+/// Samples beyond a quarter of a tile's own that whole ranges may add.
+const PADDING: u64 = 4096;
 
 /// What the numbers of leaves mean.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,7 +76,8 @@ impl<const D: usize> Shape<D> {
             ));
         }
         let padded = self.padded().iter().fold(1, |n: u64, s| n.saturating_mul(*s as u64));
-        if padded > self.samples() + self.samples() / 4 + PADDING {
+        // A row of posts has ranges of 2, and as many samples again.
+        if max > 1 && padded > self.samples() + self.samples() / 4 + PADDING {
             return Err(Error::invalid(
                 "ranges",
                 format!(

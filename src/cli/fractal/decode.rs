@@ -33,7 +33,7 @@ pub struct Decode {
     /// File to write; its ending says the format
     out: PathBuf,
     /// Samples of the result for one of the tile, along each axis
-    #[arg(long, value_name = "Z", default_value_t = 1.0)]
+    #[arg(long, value_name = "Z", default_value_t = 1.0, allow_negative_numbers = true)]
     zoom: f64,
     /// Above zoom 1: what is between samples [default: controlled; plain of solids, and with --gpu]
     #[arg(long, value_enum)]

@@ -20,6 +20,9 @@ use terraquilt_codecs::fractal::{Options, Partition, Search};
 
 /// Write a DEM, a picture or a mesh as a fractal tile: maps of the grid to itself
 ///
+/// The grid is cut into squares, small ones where it is rough (ranges). A map says how each is a turned, mirrored, fainter copy of a square of twice its side
+/// elsewhere in the grid (its domain). More maps: a better copy, a larger file.
+///
 /// How far to go is said by --maps, --const, --tolerance or --slope; --bound adds, for heights, what keeps every sample within E, and chooses the maps for the
 /// smallest file if nothing else does.
 #[derive(Args)]
@@ -42,13 +45,13 @@ pub struct Encode {
     #[arg(long = "const", value_name = "R", conflicts_with_all = ["tolerance", "slope"])]
     const_side: Option<u64>,
     /// Ranges are split until the root mean square error of each is at most this, in the file's own units
-    #[arg(long, value_name = "RMS", conflicts_with = "slope")]
+    #[arg(long, value_name = "RMS", conflicts_with = "slope", allow_negative_numbers = true)]
     tolerance: Option<f64>,
     /// Best quality for the bits: a bit must take at least so much from the sum of squared errors, in squares of the file's own units
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     slope: Option<f64>,
     /// Heights: no post is farther from the file's than this, in the file's own units; 0 is exact to the unit
-    #[arg(long, value_name = "E")]
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
     bound: Option<f64>,
     /// Which domains a range meets: all; those of like classes; those near it [default: all of up to 262144 samples, near ones of more]
     #[arg(long, value_enum, value_name = "KIND")]
@@ -73,8 +76,11 @@ pub struct Encode {
     #[arg(long, value_name = "N")]
     isometries: Option<u64>,
     /// Step in which means are stored, in the file's own units
-    #[arg(long, value_name = "STEP")]
+    #[arg(long, value_name = "STEP", allow_negative_numbers = true)]
     step: Option<f64>,
+    /// Bits in which the contrast of a map is stored, 2 to 8 [default: 5, with --const 7]
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(2..=8))]
+    scale_bits: Option<u32>,
     /// Colours: the two colour planes are so many times smaller along each axis: 1, 2 or 4
     #[arg(long, value_name = "N", default_value_t = 2)]
     chroma: u64,
@@ -227,6 +233,7 @@ impl Encode {
             isometries: self.isometries.map(size),
             near: self.near.map(size),
             step: self.step,
+            scale_bits: self.scale_bits,
             chroma: size(self.chroma),
             ..Options::default()
         };

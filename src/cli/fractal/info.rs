@@ -173,7 +173,11 @@ impl Info {
             lines.push(format!("place     first voxel's middle at {x}, {y}, {z}; voxels of {}", s.voxel));
         }
         let errors = error_of(&o.worth, &errors_in(&o));
-        lines.push(format!("error     {errors}; root mean square {}, {psnr}", short(h.error_rms * unit)));
+        let rest = if o.worth.complete { "" } else { "of the whole file " };
+        lines.push(format!(
+            "error     {errors}; {rest}root mean square {}, {psnr}",
+            short(h.error_rms * unit)
+        ));
         if heights && p.given_error > 0.0 {
             lines.push(format!(
                 "          of which {} before coding (rounding to the unit, and the source's own)",

@@ -26,7 +26,7 @@ pub struct Point {
     #[arg(value_name = "X,Y[,Z]", required = true)]
     points: Vec<String>,
     /// How many times finer than the samples; 1: the samples
-    #[arg(long, value_name = "Z", default_value_t = 1.0)]
+    #[arg(long, value_name = "Z", default_value_t = 1.0, allow_negative_numbers = true)]
     zoom: f64,
     /// Print JSON
     #[arg(long)]

@@ -7,6 +7,7 @@ use crate::export::grid::{Grid, Units, name_of, units_within};
 use crate::export::{Going, go_on};
 use crate::format::picture::Picture;
 use crate::height::source::Window;
+use rayon::prelude::*;
 use serde::Serialize;
 use terraquilt_codecs::fractal::header::BOUND_MAX;
 use terraquilt_codecs::fractal::{
@@ -153,12 +154,17 @@ pub fn send_heights(grid: &Grid, request: &Request, going: Going) -> Result<Sent
     let samples = (grid.cols * grid.rows) as u64;
     limited(samples, request.search.unwrap_or(Search::Near(NEAR)))?;
     let (units, mut notes) = units_of(grid, request)?;
-    let Units { heights, place, rounding } = units;
+    let Units { heights, mut place, rounding } = units;
     let unit = place.unit;
     let mut options = request.options(samples, unit)?;
+    // A float32 comes back as the same one where its unit does. Where the codec errs, its last digits count too.
+    let pairs = grid.z.par_iter().zip(&heights.z).filter(|(z, _)| !z.is_nan());
+    let off = pairs.map(|(z, k)| (z - place.base - unit * f64::from(*k)).abs()).reduce(|| 0.0, f64::max);
     if let Some(asked) = request.bound {
-        options.bound =
-            Some(units_within("--bound", asked, rounding, unit)?.min(u64::from(BOUND_MAX)) as u32);
+        options.bound = Some(units_within("--bound", asked, off, unit)?.min(u64::from(BOUND_MAX)) as u32);
+    }
+    if options.bound != Some(0) {
+        place.given_error = place.given_error.max(grid.given_error + off);
     }
     let affine = grid.affine.unwrap_or(PIXELS);
     let at =
