@@ -232,7 +232,7 @@ fn the_longest_are_tiles() {
         let walk = tile.walk(0).unwrap();
         assert!(walk.value([cols as f64, rows as f64], 24).is_finite());
     }
-    for size in [[1, 1, 1], [512, 1, 1], [1, 2, 300], [7, 1, 9], [33, 40, 2]] {
+    for size in [[1, 1, 1], [512, 1, 1], [1, 2, 300], [7, 1, 9], [33, 40, 2], [200, 190, 1]] {
         let values: Vec<i8> = (0..size.iter().product()).map(|k: usize| (k % 90) as i8 - 45).collect();
         let space = Space { origin: [0.0; 3], voxel: 1.0 };
         let e = encode_volume(size, &values, space, "", &near(Partition::Slope(5.0)), &Alone).unwrap();
