@@ -298,12 +298,21 @@ mod tests {
         assert_eq!(document["asset"]["extras"]["version"], json!(7));
     }
 
+    /// Synthetic ground has no error that could be stated: readers find `null`, and no number that looks like one.
+    #[test]
+    fn an_unknown_error_is_null() {
+        let mut bytes = Vec::new();
+        write_glb(&mut bytes, &GlbMesh { error_m: f64::NAN, ..square() }).unwrap();
+        let extras = &document_of(&bytes)["asset"]["extras"];
+        assert!(extras["error_m"].is_null() && extras.get("error_m").is_some());
+    }
+
     #[test]
     fn what_glb_cannot_hold_is_refused() {
         let mut sink = Vec::new();
         assert!(write_glb(&mut sink, &GlbMesh { normals: &[], ..square() }).is_err());
         assert!(write_glb(&mut sink, &GlbMesh { triangles: &[[0, 1, 3]], ..square() }).is_err());
-        assert!(write_glb(&mut sink, &GlbMesh { error_m: f64::NAN, ..square() }).is_err());
+        assert!(write_glb(&mut sink, &GlbMesh { error_m: f64::INFINITY, ..square() }).is_err());
         assert!(write_glb(&mut sink, &GlbMesh { origin: [f64::INFINITY; 3], ..square() }).is_err());
         assert!(sink.is_empty());
     }
