@@ -375,8 +375,17 @@ def half(x):
     return [pairs(x[k], x[k + 1]) for k in range(0, len(x), 2)]
 
 
-def apply(tile, leaves, x, h, by):
-    """One pass at zoom 1 / by. Returns the mean change."""
+def boxes(x):
+    """The means of the boxes of 2 x 2 that begin at each sample."""
+
+    def pairs(a, b):
+        return [((a[k] + a[k + 1]) + (b[k] + b[k + 1])) / 4 for k in range(len(a) - 1)]
+
+    return [pairs(x[k], x[k + 1]) for k in range(len(x) - 1)]
+
+
+def apply(tile, leaves, x, h, by, apart=1):
+    """One pass at zoom 1 / by; the means in h that a domain reads are so far apart. Returns the mean change."""
     change = 0.0
     for (col, row), side, mean, scale, isometry, domain in leaves:
         n = side // by
@@ -388,9 +397,9 @@ def apply(tile, leaves, x, h, by):
             for y in range(row * n, (row + 1) * n):
                 x[y][col * n : (col + 1) * n] = [tile.mean(mean)] * n
             continue
-        left, top = (d * (tile.jump // 2) // by for d in domain)
+        left, top = (d * (tile.jump // 2) * apart // by for d in domain)
         places = [source(isometry, c, r, n) for r in range(n) for c in range(n)]
-        block = [h[top + r][left + c] for c, r in places]
+        block = [h[top + r * apart][left + c * apart] for c, r in places]
         total = 0.0
         for v in block:
             total += v
@@ -406,7 +415,8 @@ def apply(tile, leaves, x, h, by):
 
 def samples(tile, leaves):
     """The fixed point at zoom 1."""
-    by = 2 if tile.jump % 4 == 0 else 1
+    by = 2
+    means, apart = (half, 1) if tile.jump % 4 == 0 else (boxes, 2)
     cols, rows = (n // by for n in tile.padded)
     seed = tile.least / 2 + tile.greatest / 2
     x = [[seed] * cols for _ in range(rows)]
@@ -417,10 +427,8 @@ def samples(tile, leaves):
     apply(tile, constant, x, None, by)
     maps = [leaf for leaf in leaves if leaf[3] != 0]
     for _ in range(64):
-        if apply(tile, maps, x, half(x), by) < 0.002:
+        if apply(tile, maps, x, means(x), by, apart) < 0.002:
             break
-    if by == 1:
-        return x
     whole = [[0.0] * tile.padded[0] for _ in range(tile.padded[1])]
     apply(tile, leaves, whole, x, 1)
     return whole

@@ -51,13 +51,14 @@ fn walk(x_start: vec2<u32>, y_start: vec2<u32>, depth: u32) -> f32 {
     var factor = 1.0;
     for (var step = 0u; step < depth; step++) {
         let cell = vec2<u32>(x.x, y.x) >> vec2<u32>(shape.shift);
-        let leaf = leaves[index[cell.y * shape.across + cell.x]];
+        let number = index[cell.y * shape.across + cell.x];
+        // Flat ground: the sample at zoom 1 is its height.
+        if number == 0xffffffffu {
+            break;
+        }
+        let leaf = leaves[number];
         sum += factor * leaf.offset;
         factor *= leaf.scale;
-        // Nothing behind a flat leaf counts.
-        if factor == 0.0 {
-            return sum;
-        }
         var u = vec2<u32>(x.x - leaf.range.x, x.y);
         var v = vec2<u32>(y.x - leaf.range.y, y.y);
         if (leaf.turn & 1u) != 0u {

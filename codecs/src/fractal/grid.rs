@@ -93,6 +93,35 @@ impl<const D: usize> Grid<D> {
         }
     }
 
+    /// The mean of the 2 x 2 (x 2) box that begins at each sample, the sum taken as [`half`](Grid::half) takes it; past the last whole box 0.
+    pub(super) fn boxes(&self) -> Grid<D> {
+        let mut out = Grid::filled(self.size, 0.0);
+        self.boxes_into(&mut out.values);
+        out
+    }
+
+    /// As [`boxes`](Grid::boxes), into memory that is there.
+    pub(super) fn boxes_into(&self, out: &mut [f64]) {
+        let strides = strides(self.size);
+        let mut rows = self.size.map(|n| n - n.min(1));
+        let row = rows[0];
+        rows[0] = rows[0].min(1);
+        let share = 1.0 / (1 << D) as f64;
+        for p in points(rows) {
+            let start = self.at(p);
+            for (at, o) in out[start..start + row].iter_mut().enumerate() {
+                let v = |k: usize| {
+                    let step: usize = (0..D).map(|a| (k >> a & 1) * strides[a]).sum();
+                    self.values[start + at + step]
+                };
+                *o = match D {
+                    2 => ((v(0) + v(1)) + (v(2) + v(3))) * share,
+                    _ => (0..1 << D).fold(0.0, |sum, k| sum + v(k)) * share,
+                };
+            }
+        }
+    }
+
     /// The samples of the cube of `side` at `corner`, the first axis fastest.
     pub fn block(&self, corner: [usize; D], side: usize, out: &mut [f64]) {
         let mut rows = [side; D];

@@ -1,7 +1,8 @@
 //! From maps to samples: all leaves applied again and again, until nothing changes.
 //!
 //! One application at zoom z commutes with the mean over 2 x 2 samples, so what is found at half the zoom is the half of what would be
-//! found at the whole one: passes are made there, and the last step up is one more.
+//! found at the whole one: passes are made there, and the last step up is one more. Where domains begin at odd samples of the half zoom,
+//! means are taken of the boxes at all places, not only at even ones.
 
 use super::grid::{Grid, points, strides};
 use super::ifs::{Ifs, Leaf};
@@ -61,7 +62,7 @@ impl<const D: usize> Ifs<D> {
         let smallest = if self.units.is_empty() { self.smallest() } else { 1 };
         let [a, b] = lowest(zoom);
         // In lowest terms a times n is whole bs where n is.
-        a > 0 && b > 0 && [smallest, s.jump / 2].into_iter().chain(s.padded()).all(|n| n.is_multiple_of(b))
+        a > 0 && b > 0 && [smallest, s.jump].into_iter().chain(s.padded()).all(|n| n.is_multiple_of(b))
     }
 
     fn smallest(&self) -> usize {
@@ -71,7 +72,7 @@ impl<const D: usize> Ifs<D> {
     /// Iterates at zoom a / b from a flat seed. `going` is asked every few thousand leaves; when it says no, what is there is returned.
     ///
     /// Any zoom works at which ranges and domains are whole samples ([`zooms`](Ifs::zooms)); with the default jump of 4 multiples of 1/2 for
-    /// ranges of 2 and more. Memory: 10 bytes a sample of the result beside the leaves.
+    /// ranges of 2 and more. Memory: 10 bytes a sample of the result beside the leaves, 12 at zoom 1 where the jump is no multiple of 4.
     pub fn iterate(
         &self,
         zoom: [usize; 2],
@@ -92,7 +93,7 @@ impl<const D: usize> Ifs<D> {
             ));
         }
         let size = self.zoomed(zoom)?;
-        if zoom == [1, 1] && self.halves() {
+        if zoom == [1, 1] {
             let half = self.passes([1, 2], Grid::filled(size.map(|n| n / 2), seed), stop, going);
             let mut grid = Grid::filled(size, 0.0);
             let finished = self.step_up(&half, &mut grid.values, &mut |v, new| *v = new, going);
@@ -102,18 +103,32 @@ impl<const D: usize> Ifs<D> {
     }
 
     /// The samples at zoom 1 rounded to whole units, in whole ranges of the largest side; a half goes away from zero. Memory: 7 bytes a sample
-    /// beside the leaves, 10 where the jump is no multiple of 4.
+    /// beside the leaves.
     pub fn rounded(&self, seed: f64, stop: Stop) -> Result<Vec<i32>> {
         let size = self.zoomed([1, 1])?;
-        let rounded = |v: f64| v.round() as i32;
-        if !self.halves() {
-            let whole = self.passes([1, 1], Grid::filled(size, seed), stop, &mut || true);
-            return Ok(whole.grid.values.into_iter().map(rounded).collect());
+        let mut out = vec![0; size.iter().product()];
+        self.rounded_onto(seed, stop, 0, &mut out)?;
+        Ok(out)
+    }
+
+    /// As [`rounded`](Ifs::rounded), each sample plus `step` times what stands in its place in `out`. Memory beside that and the leaves: 2.5 bytes
+    /// a sample, 4 where the jump is no multiple of 4.
+    ///
+    /// # Errors
+    /// Invalid if `out` has another length.
+    pub(super) fn rounded_onto(&self, seed: f64, stop: Stop, step: i64, out: &mut [i32]) -> Result<()> {
+        let size = self.zoomed([1, 1])?;
+        let wanted = size.iter().product();
+        if out.len() != wanted {
+            return Err(Error::invalid("samples", format!("{}; {wanted} are needed", out.len())));
         }
         let half = self.passes([1, 2], Grid::filled(size.map(|n| n / 2), seed), stop, &mut || true);
-        let mut out = vec![0; size.iter().product()];
-        self.step_up(&half, &mut out, &mut |v: &mut i32, new| *v = rounded(new), &mut || true);
-        Ok(out)
+        let mut put = |v: &mut i32, new: f64| {
+            let sum = i64::from(new.round() as i32) + i64::from(*v) * step;
+            *v = sum.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32;
+        };
+        self.step_up(&half, out, &mut put, &mut || true);
+        Ok(())
     }
 
     /// Iterates on from samples at zoom 1 that are there, as an earlier call gave them.
@@ -150,11 +165,6 @@ impl<const D: usize> Ifs<D> {
         Ok(size.map(|n| n as usize))
     }
 
-    /// Whether passes can be made at half the zoom: domains begin at multiples of 4. Ranges of single samples are constants there.
-    fn halves(&self) -> bool {
-        self.shape.jump.is_multiple_of(4)
-    }
-
     /// The samples at zoom 1, of half of them: each leaf once. `put` gets each sample and its value.
     fn step_up<T: Copy>(
         &self,
@@ -172,7 +182,7 @@ impl<const D: usize> Ifs<D> {
             for leaf in part.iter().filter(|l| l.scale != 0) {
                 // Beyond the time that there is, flat.
                 let isometry = finished.then(|| &group[usize::from(leaf.isometry)]);
-                self.apply(leaf, isometry, &half.grid, &mut to, put);
+                self.apply(leaf, isometry, &Means { of: &half.grid, apart: 1 }, &mut to, put);
             }
         }
         finished
@@ -188,12 +198,16 @@ impl<const D: usize> Ifs<D> {
         let group = self.shape.group();
         let size = grid.size;
         self.constants(&mut Target { size, zoom, out: &mut grid.values }, &mut |v, new| *v = new);
-        let mut half = grid.half();
+        // Domains that begin between the boxes of two by two.
+        let odd = !(self.shape.jump / 2 * zoom[0]).is_multiple_of(zoom[1]);
+        let mut means = if odd { grid.boxes() } else { grid.half() };
         let count = grid.values.len() as f64;
         let (mut passes, mut change) = (0, f64::INFINITY);
         while passes < stop.passes_max && (change >= stop.change || passes == 0) {
-            if passes > 0 {
-                grid.half_into(&mut half.values);
+            if passes > 0 && odd {
+                grid.boxes_into(&mut means.values);
+            } else if passes > 0 {
+                grid.half_into(&mut means.values);
             }
             let mut sum = 0.0;
             let mut put = |v: &mut f64, new: f64| {
@@ -205,8 +219,9 @@ impl<const D: usize> Ifs<D> {
                     return Iterated { grid, passes, change, finished: false };
                 }
                 let mut to = Target { size, zoom, out: &mut grid.values };
+                let from = Means { of: &means, apart: if odd { 2 } else { 1 } };
                 for leaf in part.iter().filter(|l| l.scale != 0) {
-                    self.apply(leaf, Some(&group[usize::from(leaf.isometry)]), &half, &mut to, &mut put);
+                    self.apply(leaf, Some(&group[usize::from(leaf.isometry)]), &from, &mut to, &mut put);
                 }
             }
             change = sum / count;
@@ -243,7 +258,7 @@ impl<const D: usize> Ifs<D> {
         &self,
         leaf: &Leaf<D>,
         isometry: Option<&Isometry<D>>,
-        half: &Grid<D>,
+        half: &Means<'_, D>,
         to: &mut Target<'_, T, D>,
         put: &mut impl FnMut(&mut T, f64),
     ) {
@@ -255,9 +270,10 @@ impl<const D: usize> Ifs<D> {
             return to.fill(corner, side, |v| put(v, mean));
         };
         let s = self.shape.scales().scale(leaf.scale);
-        let domain = leaf.domain.map(|p| usize::from(p) * (self.shape.jump / 2) * a / b);
-        let (from, steps) = isometry.steps(strides(half.size), side);
-        let from = (half.at(domain) + from) as isize;
+        let domain = leaf.domain.map(|p| usize::from(p) * (self.shape.jump / 2) * half.apart * a / b);
+        let (from, steps) = isometry.steps(strides(half.of.size).map(|n| n * half.apart), side);
+        let from = (half.of.at(domain) + from) as isize;
+        let half = &half.of.values;
         let to_steps = strides(to.size);
         let first: usize = (0..D).map(|a| corner[a] * to_steps[a]).sum();
         let third = if D > 2 { side } else { 1 };
@@ -268,7 +284,7 @@ impl<const D: usize> Ifs<D> {
             for y in 0..side {
                 let row = from + z as isize * step(2) + y as isize * step(1);
                 for x in 0..side {
-                    sum += half.values[(row + x as isize * step(0)) as usize];
+                    sum += half[(row + x as isize * step(0)) as usize];
                 }
             }
         }
@@ -278,11 +294,17 @@ impl<const D: usize> Ifs<D> {
                 let row = from + z as isize * step(2) + y as isize * step(1);
                 let start = first + z * to_step(2) + y * to_step(1);
                 for (x, v) in to.out[start..start + side].iter_mut().enumerate() {
-                    put(v, offset + s * half.values[(row + x as isize * step(0)) as usize]);
+                    put(v, offset + s * half[(row + x as isize * step(0)) as usize]);
                 }
             }
         }
     }
+}
+
+/// Means over 2 x 2 samples: of every second box, or of all, where those that a domain reads are two apart.
+struct Means<'a, const D: usize> {
+    of: &'a Grid<D>,
+    apart: usize,
 }
 
 /// Samples that are made, at the zoom a / b.

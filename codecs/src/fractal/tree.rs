@@ -152,8 +152,10 @@ pub(super) fn code<C: Coder, S: Source<D>, const D: usize>(
     let mut means = Cells { size: shape.cells(0), of: Vec::new() };
     let mut nodes: Vec<[u16; D]> = points(shape.cells(0)).map(|p| p.map(|v| v as u16)).collect();
     means.of = vec![0; nodes.len()];
+    // Ranges of the level before that are split.
+    let mut parents = Vec::new();
     for level in 0..shape.levels() {
-        if nodes.is_empty() {
+        if level > 0 && parents.is_empty() {
             break;
         }
         if level == 0 {
@@ -161,14 +163,19 @@ pub(super) fn code<C: Coder, S: Source<D>, const D: usize>(
         } else {
             let coarse = means;
             means = finer(&coarse, shape.cells(level));
-            children(source, &mut models, level, &coarse, &mut means, &nodes, c);
+            children(source, &mut models, level, &coarse, &mut means, &parents, c);
+            drop(coarse);
+            if shape.side(level) == 1 {
+                out.unit_means = Vec::with_capacity(parents.len() << D);
+                let ours = parents.iter().flat_map(family);
+                out.unit_means.extend(ours.map(|n| means.of[means.at(n.map(usize::from))]));
+                out.units = parents;
+                break;
+            }
+            nodes = Vec::with_capacity(parents.len() << D);
+            nodes.extend(parents.iter().flat_map(family));
         }
-        if shape.side(level) == 1 {
-            out.units = nodes.chunks_exact(1 << D).map(|n| n[0].map(|v| v / 2)).collect();
-            out.unit_means = nodes.iter().map(|n| means.of[means.at(n.map(usize::from))]).collect();
-            break;
-        }
-        nodes = kinds(source, &mut models, level, &means, &nodes, &mut out, c);
+        parents = kinds(source, &mut models, level, &means, &nodes, &mut out, c);
     }
     out.complete = !c.ended();
     out
@@ -214,6 +221,11 @@ fn finer<const D: usize>(coarse: &Cells<D, i32>, size: [usize; D]) -> Cells<D, i
     Cells { size, of }
 }
 
+/// The ranges that a range is split into.
+fn family<const D: usize>(parent: &[u16; D]) -> impl Iterator<Item = [u16; D]> {
+    (0..1_u16 << D).map(|k| std::array::from_fn(|a| 2 * parent[a] + (k >> a & 1)))
+}
+
 /// The means of the children of each range that is split.
 fn children<C: Coder, S: Source<D>, const D: usize>(
     source: &S,
@@ -221,17 +233,17 @@ fn children<C: Coder, S: Source<D>, const D: usize>(
     level: usize,
     coarse: &Cells<D, i32>,
     means: &mut Cells<D, i32>,
-    nodes: &[[u16; D]],
+    parents: &[[u16; D]],
     c: &mut C,
 ) {
     let count = 1 << D;
     let mut before = 0;
-    for family in nodes.chunks_exact(count) {
-        let parent = family[0].map(|v| usize::from(v) / 2);
+    for node in parents {
+        let parent = node.map(usize::from);
         let own = i64::from(coarse.of[coarse.at(parent)]);
         let lie = Lie::of(coarse, parent);
         let (mut sum, mut wrong) = (0, 0);
-        for (k, node) in family.iter().enumerate() {
+        for (k, node) in family(node).enumerate() {
             let at = means.at(node.map(usize::from));
             let told = i64::from(source.mean(level, at));
             let value = if k + 1 < count {
@@ -262,7 +274,7 @@ fn children<C: Coder, S: Source<D>, const D: usize>(
     }
 }
 
-/// What each range of a level is. Returns the ranges of the next one.
+/// What each range of a level is. Returns those that are split.
 fn kinds<C: Coder, S: Source<D>, const D: usize>(
     source: &S,
     models: &mut Models,
@@ -346,26 +358,22 @@ fn kinds<C: Coder, S: Source<D>, const D: usize>(
     }
     out.leaves.shrink_to_fit();
     let split = |node: &&[u16; D]| seen.of[seen.at(node.map(usize::from))] == SPLIT;
-    let mut next = Vec::with_capacity(nodes.iter().filter(split).count() << D);
-    for node in nodes.iter().filter(split) {
-        next.extend((0..1_u16 << D).map(|k| std::array::from_fn(|a| 2 * node[a] + (k >> a & 1))));
-    }
-    if c.ended() {
+    let mut parents = Vec::with_capacity(nodes.iter().filter(split).count());
+    parents.extend(nodes.iter().copied().filter(|n| split(&n)));
+    if c.ended() && level + 1 < shape.levels() && shape.side(level + 1) > 1 {
         // Ranges that were split show what is known of them.
-        let mean = |node: &[u16; D]| means.of[means.at(node.map(|v| usize::from(v) / 2))];
-        let leaf = |node: &[u16; D]| Leaf {
-            mean: mean(node),
-            cell: *node,
-            domain: [0; D],
-            level: level as u8 + 1,
-            isometry: 0,
-            scale: 0,
-        };
-        if level + 1 < shape.levels() && shape.side(level + 1) > 1 {
-            out.leaves.reserve_exact(next.len());
-            out.leaves.extend(next.iter().map(leaf));
-            next.clear();
+        out.leaves.reserve_exact(parents.len() << D);
+        for parent in std::mem::take(&mut parents) {
+            let mean = means.of[means.at(parent.map(usize::from))];
+            out.leaves.extend(family(&parent).map(|cell| Leaf {
+                mean,
+                cell,
+                domain: [0; D],
+                level: level as u8 + 1,
+                isometry: 0,
+                scale: 0,
+            }));
         }
     }
-    next
+    parents
 }

@@ -1,7 +1,7 @@
 //! The inverse walk: the height at any point, at any depth, without its neighbours.
 
 use super::grid::{Grid, points, strides};
-use super::ifs::{Ifs, SAMPLES_MAX};
+use super::ifs::{Ifs, Leaf, SAMPLES_MAX, Shape};
 use super::isometry::Isometry;
 use super::iterate::Stop;
 use crate::{Error, Result};
@@ -12,7 +12,10 @@ pub const DEPTH_MAX: u32 = 24;
 /// Places in a walk are whole numbers of 2 to this parts of a sample: half the finest cell.
 const PARTS_LOG: u32 = DEPTH_MAX + 1;
 
-/// A leaf as a walk meets it: `value(p) = offset + scale * value(domain + 2 iso(p - range))`.
+/// In an index: the ground is flat here, and the sample at zoom 1 says how high.
+pub const FLAT: u32 = u32::MAX;
+
+/// A leaf with a map, as a walk meets it: `value(p) = offset + scale * value(domain + 2 iso(p - range))`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step<const D: usize> {
     /// Corner of the range, in samples at zoom 1.
@@ -29,16 +32,18 @@ pub struct Step<const D: usize> {
     pub offset: f64,
 }
 
-/// A tile ready to be asked anywhere.
+/// A tile ready to be asked anywhere. Memory: 48 bytes a map in the plane and 60 in space, 8 a sample for its grid and at most 1 for the index; flat leaves
+/// take none.
 #[derive(Clone, Debug)]
 pub struct Walk<const D: usize> {
-    steps: Vec<Step<D>>,
+    shape: Shape<D>,
+    /// Those with a map.
+    leaves: Vec<Leaf<D>>,
     hops: Vec<Hop<D>>,
     index: Grid32<D>,
     /// The cells of the index have a side of 2 to this, in samples.
     cell_log: u32,
     grid: Grid<D>,
-    size: [usize; D],
     group: Vec<Isometry<D>>,
 }
 
@@ -67,6 +72,19 @@ impl<const D: usize> Hop<D> {
     }
 }
 
+/// A leaf with its numbers in samples.
+fn step<const D: usize>(shape: &Shape<D>, leaf: &Leaf<D>, offset: f64) -> Step<D> {
+    let side = shape.side(usize::from(leaf.level)) as u32;
+    Step {
+        range: leaf.cell.map(|c| u32::from(c) * side),
+        domain: leaf.domain.map(|p| u32::from(p) * shape.jump as u32),
+        side,
+        isometry: leaf.isometry,
+        scale: shape.scales().scale(leaf.scale),
+        offset,
+    }
+}
+
 #[derive(Clone, Debug)]
 struct Grid32<const D: usize> {
     size: [usize; D],
@@ -82,56 +100,43 @@ impl<const D: usize> Walk<D> {
     }
 
     fn of(ifs: &Ifs<D>, grid: Grid<D>) -> Walk<D> {
-        let shape = &ifs.shape;
+        let shape = ifs.shape.clone();
+        let group = shape.group();
         let half = grid.half();
-        let smallest = if ifs.units.is_empty() { shape.side(shape.levels() - 1) } else { 1 };
+        let mapped = || ifs.leaves.iter().filter(|l| l.scale != 0);
+        let mut leaves = Vec::with_capacity(mapped().count());
+        leaves.extend(mapped().copied());
+        // Samples of their own, and flat ranges, need no entry.
+        let smallest = leaves.iter().map(|l| shape.side(usize::from(l.level))).min();
+        let smallest = smallest.unwrap_or(shape.side(0));
         let cell_log = smallest.trailing_zeros();
         let cells = shape.padded().map(|n| n >> cell_log);
-        let mut index = Grid32 { size: cells, of: vec![0; cells.iter().product()] };
-        let mut steps = Vec::with_capacity(ifs.maps());
-        let mut put = |step: Step<D>, steps: &mut Vec<Step<D>>| {
+        let mut index = Grid32 { size: cells, of: vec![FLAT; cells.iter().product()] };
+        let mut hops = Vec::with_capacity(leaves.len());
+        let mut block = Vec::new();
+        for leaf in &leaves {
+            let side = shape.side(usize::from(leaf.level));
+            block.resize(side.pow(D as u32), 0.0);
+            let mut step = step(&shape, leaf, 0.0);
+            half.block(step.domain.map(|v| v as usize / 2), side, &mut block);
+            step.offset =
+                shape.mean(leaf.mean) - step.scale * (block.iter().sum::<f64>() / block.len() as f64);
             let corner = step.range.map(|v| v as usize >> cell_log);
-            let mut rows = [step.side as usize >> cell_log; D];
+            let mut rows = [side >> cell_log; D];
             let row = rows[0];
             rows[0] = 1;
             for p in points(rows) {
                 let at = (0..D).rev().fold(0, |at, a| at * index.size[a] + corner[a] + p[a]);
-                index.of[at..at + row].fill(steps.len() as u32);
+                index.of[at..at + row].fill(hops.len() as u32);
             }
-            steps.push(step);
-        };
-        let mut block = Vec::new();
-        for leaf in &ifs.leaves {
-            let side = shape.side(usize::from(leaf.level));
-            let domain = leaf.domain.map(|p| u32::from(p) * shape.jump as u32);
-            let s = shape.scales().scale(leaf.scale);
-            let mut offset = shape.mean(leaf.mean);
-            if leaf.scale != 0 {
-                block.resize(side.pow(D as u32), 0.0);
-                half.block(domain.map(|v| v as usize / 2), side, &mut block);
-                offset -= s * (block.iter().sum::<f64>() / block.len() as f64);
-            }
-            let range = leaf.cell.map(|c| u32::from(c) * side as u32);
-            put(
-                Step { range, domain, side: side as u32, isometry: leaf.isometry, scale: s, offset },
-                &mut steps,
-            );
+            hops.push(Hop::of(&step, &group[usize::from(leaf.isometry)]));
         }
-        for (corner, means) in ifs.units.iter().zip(ifs.unit_means.chunks_exact(1 << D)) {
-            for (k, mean) in means.iter().enumerate() {
-                let range = std::array::from_fn(|a| 2 * u32::from(corner[a]) + (k as u32 >> a & 1));
-                let offset = shape.mean(*mean);
-                put(Step { range, domain: [0; D], side: 1, isometry: 0, scale: 0.0, offset }, &mut steps);
-            }
-        }
-        let group = shape.group();
-        let hops = steps.iter().map(|s| Hop::of(s, &group[usize::from(s.isometry)])).collect();
-        Walk { steps, hops, index, cell_log, grid, size: shape.size, group }
+        Walk { shape, leaves, hops, index, cell_log, grid, group }
     }
 
     /// Samples of the tile along each axis.
     pub fn size(&self) -> [usize; D] {
-        self.size
+        self.shape.size
     }
 
     /// The samples at zoom 1, in whole ranges of the largest side: what walks end in.
@@ -139,17 +144,18 @@ impl<const D: usize> Walk<D> {
         &self.grid
     }
 
-    /// The leaves.
-    pub fn steps(&self) -> &[Step<D>] {
-        &self.steps
+    /// The leaves with a map. All other ground is flat: every sample at zoom 1 its own height.
+    pub fn steps(&self) -> impl ExactSizeIterator<Item = Step<D>> + '_ {
+        self.leaves.iter().zip(&self.hops).map(|(leaf, hop)| step(&self.shape, leaf, hop.offset))
     }
 
-    /// The number of the leaf of each cell of [`cell_side`](Walk::cell_side) samples, over the same box as [`grid`](Walk::grid).
+    /// The number of the leaf of each cell of [`cell_side`](Walk::cell_side) samples, over the same box as [`grid`](Walk::grid); [`FLAT`] where
+    /// there is none.
     pub fn index(&self) -> &[u32] {
         &self.index.of
     }
 
-    /// Side of the cells of the index: that of the smallest range.
+    /// Side of the cells of the index: that of the smallest range with a map.
     pub fn cell_side(&self) -> usize {
         1 << self.cell_log
     }
@@ -170,18 +176,16 @@ impl<const D: usize> Walk<D> {
         // The centre of the cell, in whole parts of a sample: mirrors keep it off edges, where the open end of a range becomes the closed one.
         let mut p: [i64; D] = std::array::from_fn(|a| {
             // A point on the far border belongs to the last sample; NaN to the first.
-            let inside = point[a].max(0.0).min(self.size[a] as f64 - 1e-9);
+            let inside = point[a].max(0.0).min(self.shape.size[a] as f64 - 1e-9);
             ((inside * cells) as i64) << (PARTS_LOG - depth) | 1 << (PARTS_LOG - 1 - depth)
         });
         let (mut sum, mut factor) = (0.0, 1.0);
         for _ in 0..depth {
             let cell = |a: usize| (p[a] >> (PARTS_LOG + self.cell_log)) as usize;
             let at = (0..D).rev().fold(0, |at, a| at * self.index.size[a] + cell(a));
-            let hop = &self.hops[self.index.of[at] as usize];
+            // No list is as long as FLAT.
+            let Some(hop) = self.hops.get(self.index.of[at] as usize) else { break };
             sum += factor * hop.offset;
-            if hop.scale == 0.0 {
-                return sum;
-            }
             factor *= hop.scale;
             p = std::array::from_fn(|a| {
                 // A choice, not an index: the point stays in registers.
@@ -230,7 +234,17 @@ impl<const D: usize> Walk<D> {
     fn twice(&self, from: &Grid<D>, zoom: usize) -> Grid<D> {
         let mut out = Grid::filled(from.size.map(|n| 2 * n), 0.0);
         let to_strides = strides(out.size);
-        for step in &self.steps {
+        // What is flat stays as high as it is.
+        let mut rows = out.size;
+        let row = rows[0];
+        rows[0] = 1;
+        for (p, to) in points(rows).zip(out.values.chunks_exact_mut(row)) {
+            let at = from.at(p.map(|v| v / 2));
+            for (to, v) in to.chunks_exact_mut(2).zip(&from.values[at..at + row / 2]) {
+                to.fill(*v);
+            }
+        }
+        for step in self.steps() {
             let side = step.side as usize * 2 * zoom;
             let (start, steps) = self.group[usize::from(step.isometry)].steps(strides(from.size), side);
             let start = (from.at(step.domain.map(|v| v as usize * zoom)) + start) as isize;
@@ -241,10 +255,6 @@ impl<const D: usize> Walk<D> {
                 let at = to + (1..D).map(|a| p[a] * to_strides[a]).sum::<usize>();
                 let row = start + (1..D).map(|a| p[a] as isize * steps[a]).sum::<isize>();
                 let out = &mut out.values[at..at + side];
-                if step.scale == 0.0 {
-                    out.fill(step.offset);
-                    continue;
-                }
                 for (x, v) in out.iter_mut().enumerate() {
                     *v = step.offset + step.scale * from.values[(row + x as isize * steps[0]) as usize];
                 }

@@ -19,7 +19,8 @@
 //! let (field, report) = Field::of(&mesh, window, &Alone)?;
 //! assert!(report.is_closed());
 //! let again = surface(&field.samples(), 0.0, Border::Closed, &Alone)?;
-//! assert!((again.volume() - 1.0 / 6.0).abs() < 0.002);
+//! // Edges are cut off within a voxel: a bit more than a hundredth of this one.
+//! assert!((again.volume() - 1.0 / 6.0).abs() < 0.003);
 //! # Ok::<(), terraquilt_codecs::Error>(())
 //! ```
 mod cases;

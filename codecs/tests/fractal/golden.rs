@@ -10,10 +10,11 @@ use terraquilt_codecs::heights::{Heights, Place};
 use terraquilt_codecs::work::Alone;
 
 /// Names, and checksums of what comes out: at zoom 1, and of walks to depth 5.
-const CASES: [(&str, u32, u32); 5] = [
+const CASES: [(&str, u32, u32); 6] = [
     ("maps", 0x32ca_cebb, 0x8012_68c0),
     ("bounded_voids", 0x43fa_ea48, 0xa96a_344b),
     ("single", 0x2742_71a6, 0x1faa_a882),
+    ("jump", 0xac0c_0424, 0x34b7_6beb),
     ("colour", 0x192c_ffd5, 0xccfd_489a),
     ("volume", 0x1836_e4f4, 0x8159_4ed7),
 ];
@@ -51,6 +52,16 @@ fn written(name: &str) -> Encoded {
         }
         "single" => {
             ground(false, Options { range_min: 1, search: Search::Near(6), ..of(Partition::Slope(3.0)) })
+        }
+        "jump" => {
+            let few = Options {
+                jump: 6,
+                bound: Some(2),
+                range_min: 1,
+                search: Search::Near(5),
+                ..of(Partition::Slope(400.0))
+            };
+            ground(true, few)
         }
         "colour" => {
             let rgb = include_bytes!("../data/landsat_sfbay_128.rgb");

@@ -172,7 +172,7 @@ fn in_whole_ranges(grid: &Grid<2>, size: [usize; 2]) -> Grid<2> {
 fn applied(walk: &Walk<2>, from: &Grid<2>, zoom: usize) -> Grid<2> {
     let mut out = Grid::filled(from.size.map(|n| 2 * n), 0.0);
     let to_strides = strides(out.size);
-    for step in walk.steps().iter().filter(|s| s.scale != 0.0) {
+    for step in walk.steps() {
         let side = step.side as usize * 2 * zoom;
         let isometry = &walk.group()[usize::from(step.isometry)];
         let (start, steps) = isometry.steps(strides(from.size), side);
