@@ -33,7 +33,7 @@ fn ground(cols: usize, rows: usize, rough: i32) -> Heights {
 #[test]
 fn a_sample_is_decoded_in_sixteen_bytes() {
     let near = Options { search: Search::Near(4), ..Options::default() };
-    let single = Options { range_min: 1, ..near.clone() };
+    let single = Options { range_min: Some(1), ..near.clone() };
     let cases = [
         (
             "maps and flat ranges",

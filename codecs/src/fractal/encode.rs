@@ -1,8 +1,8 @@
-//! Heights, pictures and volumes become files.
+//! Heights and pictures become files.
 
 use super::colour;
 use super::grid::{Grid, points};
-use super::header::{BOUND_MAX, Header, Kind, Shapes, Space};
+use super::header::{BOUND_MAX, Header, Kind, Shapes};
 use super::ifs::{RANGE_LOG_MAX, Shape};
 use super::iterate::Stop;
 use super::mask;
@@ -28,8 +28,8 @@ pub struct Options {
     pub bound: Option<u32>,
     /// Side of the largest ranges, a power of two from 2 to 32. `None`: as large as the tile allows.
     pub range_max: Option<usize>,
-    /// Side of the smallest ranges, a power of two.
-    pub range_min: usize,
+    /// Side of the smallest ranges, a power of two. `None`: 2 in the plane, 1 in space.
+    pub range_min: Option<usize>,
     /// Distance of neighbouring domains: even.
     pub jump: usize,
     /// Isometries: 1 or 8 in the plane; 1, 16, 24 or 48 in space. `None`: 8 in the plane, 1 in space.
@@ -51,7 +51,7 @@ impl Default for Options {
             search: Search::Exact,
             bound: None,
             range_max: None,
-            range_min: 2,
+            range_min: None,
             jump: 4,
             isometries: None,
             near: None,
@@ -70,11 +70,6 @@ pub struct Encoded {
     pub header: Header,
 }
 
-/// Distances up to this, two voxels, tell where the surface of a volume runs,
-const SURFACE: u8 = 16;
-/// and count so many times as much as others.
-const SURFACE_WEIGHT: f32 = 8.0;
-
 /// Slopes that a bounded tile is tried with, in squares of 2E + 1.
 const SLOPES: [f64; 4] = [0.25, 1.0, 4.0, 16.0];
 
@@ -89,7 +84,7 @@ impl Options {
         }
     }
 
-    fn shape<const D: usize>(&self, size: [usize; D]) -> Result<Shape<D>> {
+    pub(super) fn shape<const D: usize>(&self, size: [usize; D]) -> Result<Shape<D>> {
         self.partition.map_or(Ok(()), Partition::check)?;
         if self.search == Search::Near(0) {
             return Err(Error::invalid(
@@ -97,7 +92,7 @@ impl Options {
                 "near 0 domains along each axis; at least 1, or no range has a map",
             ));
         }
-        let mut min = self.range_min;
+        let mut min = self.range_min.unwrap_or(if D == 2 { 2 } else { 1 });
         if let Some(Partition::Const(r)) = self.partition {
             min = r;
         }
@@ -338,48 +333,8 @@ pub fn encode_picture(
     })
 }
 
-/// Encodes a volume of signed distances in eighths of a voxel, -127 to 127, the first axis fastest. Samples near the surface count more.
-pub fn encode_volume(
-    size: [usize; 3],
-    values: &[i8],
-    space: Space,
-    source: &str,
-    options: &Options,
-    workers: &dyn Workers,
-) -> Result<Encoded> {
-    let samples = size.iter().fold(1_usize, |n, s| n.saturating_mul(*s));
-    if samples == 0 || samples != values.len() {
-        return Err(Error::invalid("volume", format!("{size:?} samples with {} values", values.len())));
-    }
-    if options.bound.is_some() {
-        return Err(Error::invalid("bound", "is for heights; a volume states the error that was measured"));
-    }
-    let shape = with_room(options.shape(size)?, [-127.0, 127.0]);
-    let grid = padded(&values.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>(), size, &shape);
-    let weights: Vec<f32> =
-        values.iter().map(|v| if v.unsigned_abs() <= SURFACE { SURFACE_WEIGHT } else { 1.0 }).collect();
-    let candidates =
-        Candidates::search(&shape, &grid, &padded_weights(&weights, size, &shape), options, workers)?;
-    let plan = candidates.plan(options.partition.unwrap_or(Partition::Slope(100.0)))?;
-    let mut c = Encoder::new();
-    let ifs = tree::code(&shape, &plan, &mut c);
-    let header = Header {
-        kind: Kind::Volume,
-        size,
-        range: [-127, 127],
-        place: Place { source: source.into(), ..Place::default() },
-        space: Some(space),
-        ..head(options, Shapes::Volume(shape))
-    };
-    header.check()?;
-    sealed(header, ifs.maps(), c.finish(), |tile| {
-        let found = tile.volume()?;
-        Ok(summed(found.values.iter().zip(values).map(|(a, b)| (a - f64::from(*b)).abs())))
-    })
-}
-
 /// The same with the step doubled until numbers of means have room for values from the one to the other.
-fn with_room<const D: usize>(mut shape: Shape<D>, values: [f64; 2]) -> Shape<D> {
+pub(super) fn with_room<const D: usize>(mut shape: Shape<D>, values: [f64; 2]) -> Shape<D> {
     let farthest = values.map(|v| (v - shape.origin).abs()).into_iter().fold(0.0, f64::max);
     while farthest / shape.step > f64::from(tree::MEAN_MAX / 2) {
         shape.step *= 2.0;
@@ -387,7 +342,7 @@ fn with_room<const D: usize>(mut shape: Shape<D>, values: [f64; 2]) -> Shape<D> 
     shape
 }
 
-fn head(options: &Options, shapes: Shapes) -> Header {
+pub(super) fn head(options: &Options, shapes: Shapes) -> Header {
     Header {
         kind: Kind::Heights,
         size: [0; 3],
@@ -406,7 +361,7 @@ fn head(options: &Options, shapes: Shapes) -> Header {
 }
 
 /// The file, its errors measured by decoding it.
-fn sealed(
+pub(super) fn sealed(
     mut header: Header,
     maps: usize,
     body: Vec<u8>,
@@ -424,7 +379,7 @@ fn sealed(
 }
 
 /// The greatest and the root mean square.
-fn summed(errors: impl Iterator<Item = f64>) -> [f64; 2] {
+pub(super) fn summed(errors: impl Iterator<Item = f64>) -> [f64; 2] {
     let (mut max, mut sum, mut count) = (0.0_f64, 0.0, 0.0_f64);
     for e in errors {
         max = max.max(e);
@@ -450,7 +405,7 @@ fn check_weights(weights: &[f32], samples: usize) -> Result<()> {
 }
 
 /// Samples in whole ranges: the last ones are repeated.
-fn padded<const D: usize>(values: &[f64], size: [usize; D], shape: &Shape<D>) -> Grid<D> {
+pub(super) fn padded<const D: usize>(values: &[f64], size: [usize; D], shape: &Shape<D>) -> Grid<D> {
     let whole = shape.padded();
     let values = points(whole)
         .map(|p| values[(0..D).rev().fold(0, |at, a| at * size[a] + p[a].min(size[a] - 1))])
@@ -459,7 +414,11 @@ fn padded<const D: usize>(values: &[f64], size: [usize; D], shape: &Shape<D>) ->
 }
 
 /// Weights in whole ranges: what is beyond the tile has none.
-fn padded_weights<const D: usize>(weights: &[f32], size: [usize; D], shape: &Shape<D>) -> Vec<f32> {
+pub(super) fn padded_weights<const D: usize>(
+    weights: &[f32],
+    size: [usize; D],
+    shape: &Shape<D>,
+) -> Vec<f32> {
     let whole = shape.padded();
     if weights.is_empty() && whole == size {
         return Vec::new();

@@ -59,14 +59,19 @@ impl<const D: usize> Ifs<D> {
     /// Whether every range and every domain is whole samples at the zoom a / b.
     pub fn zooms(&self, zoom: [usize; 2]) -> bool {
         let s = &self.shape;
-        let smallest = if self.units.is_empty() { self.smallest() } else { 1 };
         let [a, b] = lowest(zoom);
+        // Four samples of their own are one at half the zoom.
+        let smallest = match [a, b] {
+            [1, 2] => self.smallest(),
+            _ if self.units.is_empty() => self.smallest(),
+            _ => 1,
+        };
         // In lowest terms a times n is whole bs where n is.
         a > 0 && b > 0 && [smallest, s.jump].into_iter().chain(s.padded()).all(|n| n.is_multiple_of(b))
     }
 
     fn smallest(&self) -> usize {
-        self.leaves.iter().map(|l| self.shape.side(usize::from(l.level))).min().unwrap_or(1)
+        self.leaves.iter().map(|l| self.shape.side(usize::from(l.level))).min().unwrap_or(2)
     }
 
     /// Iterates at zoom a / b from a flat seed. `going` is asked every few thousand leaves; when it says no, what is there is returned.

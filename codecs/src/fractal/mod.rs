@@ -29,13 +29,15 @@ mod residual;
 pub mod scale;
 mod tile;
 mod tree;
+mod volume;
 pub mod walk;
 
-pub use encode::{Encoded, Options, encode_heights, encode_picture, encode_volume};
+pub use encode::{Encoded, Options, encode_heights, encode_picture};
 pub use header::{Header, Kind, Shapes, Space};
 pub use ifs::{Ifs, Leaf, SAMPLES_MAX, Shape};
 pub use iterate::{Iterated, Stop};
 pub use matching::Search;
 pub use partition::Partition;
 pub use tile::{Picture, Tile};
+pub use volume::encode_volume;
 pub use walk::Walk;

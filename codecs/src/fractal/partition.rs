@@ -136,6 +136,17 @@ impl<'a, const D: usize> Candidates<'a, D> {
         Ok(Candidates { shape, ranges: all })
     }
 
+    /// Makes samples count `more` than they did.
+    pub fn heed(&mut self, samples: &[[usize; D]], more: f64) {
+        for (level, ranges) in self.ranges.iter_mut().enumerate() {
+            let (side, cells) = (self.shape.side(level), self.shape.cells(level));
+            let share = more / side.pow(D as u32) as f64;
+            for p in samples {
+                ranges.candidates[number(cells, p.map(|v| v / side))].weight += share;
+            }
+        }
+    }
+
     /// Splits, and gives each range its map.
     pub fn plan(&self, partition: Partition) -> Result<Plan<D>> {
         let pick = Pick { shape: self.shape, ranges: &self.ranges };

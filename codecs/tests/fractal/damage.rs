@@ -18,7 +18,7 @@ fn files() -> Vec<Vec<u8>> {
     heights.void = (0..2400).map(|k| k % 60 < k / 60).collect();
     let bounded = Options { bound: Some(3), ..near.clone() };
     let bounded = encode_heights(&heights, &Place::default(), &[], &bounded, &Alone).unwrap();
-    let single = Options { range_min: 1, ..near.clone() };
+    let single = Options { range_min: Some(1), ..near.clone() };
     let single = encode_heights(&ground(32, 32, 90.0, 4), &Place::default(), &[], &single, &Alone).unwrap();
     let samples: Vec<u8> = (0..40 * 30 * 3).map(|k| (k * k / 7) as u8).collect();
     let colour = encode_picture([40, 30], 3, &samples, "p", &[], &near, &Alone).unwrap();

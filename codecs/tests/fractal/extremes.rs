@@ -97,7 +97,8 @@ fn absurd_zooms_are_refused() {
 #[test]
 fn walks_at_corners_of_cells() {
     let heights = ground(64, 64, 40.0, 5);
-    for options in [near(Partition::Const(4)), Options { range_min: 1, ..near(Partition::Maps(1500)) }] {
+    for options in [near(Partition::Const(4)), Options { range_min: Some(1), ..near(Partition::Maps(1500)) }]
+    {
         let tile = Tile::read(&encoded(&heights, &options).unwrap().bytes).unwrap();
         assert!(tile.planes[0].leaves.iter().any(|l| l.isometry > 0));
         let walk = tile.walk(0).unwrap();
@@ -134,7 +135,7 @@ fn numbers_without_sense_are_refused() {
     for options in [
         Options { range_max: Some(1), ..near(Partition::Slope(1.0)) },
         Options { range_max: Some(0), ..near(Partition::Slope(1.0)) },
-        Options { range_min: 0, ..near(Partition::Slope(1.0)) },
+        Options { range_min: Some(0), ..near(Partition::Slope(1.0)) },
         Options { jump: usize::MAX, ..near(Partition::Slope(1.0)) },
         Options { jump: 66, ..near(Partition::Slope(1.0)) },
         Options { near: Some(usize::MAX), search: Search::Exact, ..near(Partition::Slope(1.0)) },
@@ -172,7 +173,7 @@ fn the_ends_of_options_are_tiles() {
         Options { scale_bits: Some(2), ..near(Partition::Slope(1.0)) },
         Options { scale_bits: Some(8), ..near(Partition::Slope(1.0)) },
         Options { jump: 64, ..near(Partition::Slope(1.0)) },
-        Options { jump: 2, range_min: 1, ..near(Partition::Slope(1.0)) },
+        Options { jump: 2, range_min: Some(1), ..near(Partition::Slope(1.0)) },
         Options { jump: 6, ..near(Partition::Slope(1.0)) },
         Options { search: Search::Near(64), ..near(Partition::Slope(1.0)) },
         Options { search: Search::Near(1), ..near(Partition::Slope(1.0)) },

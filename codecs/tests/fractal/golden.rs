@@ -16,7 +16,7 @@ const CASES: [(&str, u32, u32); 6] = [
     ("single", 0x2742_71a6, 0x1faa_a882),
     ("jump", 0xac0c_0424, 0x34b7_6beb),
     ("colour", 0x192c_ffd5, 0xccfd_489a),
-    ("volume", 0x1836_e4f4, 0x8159_4ed7),
+    ("volume", 0x1b08_aceb, 0xa81b_c661),
 ];
 
 /// Hills, with a lake of voids.
@@ -50,14 +50,15 @@ fn written(name: &str) -> Encoded {
         "bounded_voids" => {
             ground(true, Options { bound: Some(4), search: Search::Classes, ..Options::default() })
         }
-        "single" => {
-            ground(false, Options { range_min: 1, search: Search::Near(6), ..of(Partition::Slope(3.0)) })
-        }
+        "single" => ground(
+            false,
+            Options { range_min: Some(1), search: Search::Near(6), ..of(Partition::Slope(3.0)) },
+        ),
         "jump" => {
             let few = Options {
                 jump: 6,
                 bound: Some(2),
-                range_min: 1,
+                range_min: Some(1),
                 search: Search::Near(5),
                 ..of(Partition::Slope(400.0))
             };

@@ -201,7 +201,7 @@ fn options_are_checked() {
         (Options { jump: 3, ..near(Partition::Const(4)) }, "even"),
         (Options { jump: 0, ..near(Partition::Const(4)) }, "even"),
         (Options { isometries: Some(4), ..near(Partition::Const(4)) }, "1 or 8"),
-        (Options { range_max: Some(2), range_min: 8, ..near(Partition::Slope(1.0)) }, "the smallest"),
+        (Options { range_max: Some(2), range_min: Some(8), ..near(Partition::Slope(1.0)) }, "the smallest"),
         (Options { step: Some(0.0), ..near(Partition::Const(4)) }, "step 0"),
         (Options { scale_bits: Some(9), ..near(Partition::Const(4)) }, "2 to 8"),
         (Options { search: Search::Near(1000), ..near(Partition::Const(4)) }, "1000"),

@@ -24,7 +24,7 @@ fn tiles() -> Vec<(Tile, f64)> {
     let options = [
         (ground(64, 64, 20.0, 1), with(Partition::Const(4))),
         (ground(100, 60, 5.0, 2), with(Partition::Slope(10.0))),
-        (ground(64, 64, 60.0, 3), Options { range_min: 1, ..with(Partition::Maps(2500)) }),
+        (ground(64, 64, 60.0, 3), Options { range_min: Some(1), ..with(Partition::Maps(2500)) }),
         (ground(48, 64, 9.0, 4), Options { jump: 2, ..with(Partition::Maps(400)) }),
         (crater, with(Partition::Tolerance(3.0))),
     ];

@@ -66,9 +66,9 @@ pub struct Encode {
     /// Side of the largest ranges, a power of two up to 32 [default: as large as the tile allows]
     #[arg(long, value_name = "R")]
     range_max: Option<u64>,
-    /// Side of the smallest ranges, a power of two
-    #[arg(long, value_name = "R", default_value_t = 2)]
-    range_min: u64,
+    /// Side of the smallest ranges, a power of two [default: 2, 1 in space]
+    #[arg(long, value_name = "R")]
+    range_min: Option<u64>,
     /// Distance of neighbouring domains, an even number
     #[arg(long, value_name = "N", default_value_t = 4)]
     jump: u64,
@@ -228,7 +228,7 @@ impl Encode {
         let options = Options {
             partition,
             range_max: self.range_max.map(size),
-            range_min: size(self.range_min),
+            range_min: self.range_min.map(size),
             jump: size(self.jump),
             isometries: self.isometries.map(size),
             near: self.near.map(size),
