@@ -74,10 +74,10 @@ const BLOCK_ROWS: usize = 128;
 /// [`Error::Invalid`] if an array does not have `cols` times `rows` values or the size is zero,
 /// [`Error::Limit`] above [`limits::RASTER_POSTS_MAX`], [`Error::Io`] from `out`.
 pub fn write_relief(out: &mut dyn Write, relief: &Relief) -> Result<()> {
-    write_painted_relief(out, relief, None)
+    write_painted_relief(out, relief, None, None)
 }
 
-/// As [`write_relief`], with a colour of its own (sRGB) for each pixel that has one.
+/// As [`write_relief`], with a colour of its own (sRGB) for each pixel that has one, and what the file says of itself.
 ///
 /// # Errors
 /// As [`write_relief`]; [`Error::Invalid`] if there is not one entry a pixel.
@@ -85,6 +85,7 @@ pub fn write_painted_relief(
     out: &mut dyn Write,
     relief: &Relief,
     paint: Option<&[Option<[u8; 3]>]>,
+    comment: Option<&str>,
 ) -> Result<()> {
     let Relief { cols, rows, .. } = *relief;
     let count = cols as u64 * rows as u64;
@@ -106,6 +107,9 @@ pub fn write_painted_relief(
     encoder.set_color(png::ColorType::Rgba);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    if let Some(text) = comment {
+        encoder.add_text_chunk("Comment".into(), text.into()).map_err(png_error)?;
+    }
     let mut writer = encoder.write_header().map_err(png_error)?;
     let mut stream = writer.stream_writer().map_err(png_error)?;
     for first in (0..rows).step_by(BLOCK_ROWS) {

@@ -121,6 +121,10 @@ fn zooms_keep_the_means_and_say_what_is_synthetic() {
                 let text = std::fs::read(&out).unwrap();
                 let says = text.windows(9).any(|w| w == b"SYNTHETIC");
                 assert_eq!(says, detail != "none");
+                let relief = f.path("relief.png");
+                printed(&["fractal", "decode", &ifs, &relief, "--zoom", zoom, "--detail", detail]);
+                let drawn = std::fs::read(&relief).unwrap();
+                assert_eq!(drawn.windows(9).any(|w| w == b"SYNTHETIC"), detail != "none");
                 last = fine.z;
             }
             // Between 2 and 4: its cells are means of those, or points of the same function.
@@ -190,6 +194,17 @@ fn points_are_the_samples_and_above_zoom_1_what_the_maps_say() {
         crate::support::refused(&["fractal", "point", &ifs, "1,2", "--zoom", "0.5"], 1).contains("--zoom")
     );
     assert!(crate::support::refused(&["fractal", "point", &ifs, "1,2,3"], 1).contains("X,Y"));
+    // From a file, further columns come along.
+    let csv = f.path("stakes.csv");
+    std::fs::write(&csv, "id;y;x\n\"a, b\";5115990;560012\nc;0;0\n").unwrap();
+    let alone = printed(&["fractal", "point", &ifs, "560012,5115990"]);
+    let told = printed(&["fractal", "point", &ifs, "--points", &csv]);
+    let rows: Vec<&str> = told.lines().collect();
+    assert_eq!(rows[0], "id,x,y,z,error_m");
+    assert_eq!(rows[1], format!("\"a, b\",{}", alone.lines().nth(1).unwrap()));
+    assert_eq!(rows[2], "c,0,0,,");
+    let rows = json(&["fractal", "point", &ifs, "--points", &csv]);
+    assert_eq!((&rows[0]["columns"]["id"], &rows[0]["x"]), (&"a, b".into(), &560012.0.into()));
 }
 
 #[test]
@@ -264,6 +279,11 @@ fn what_is_cut_or_damaged_decodes_with_an_unknown_error_or_is_refused() {
     println!("{shown} show something, {refused} are refused");
     assert!(shown > 4);
     let from_pipe = json(&["fractal", "info", &ifs]);
+    let spent = |v: &serde_json::Value| v.as_u64().unwrap();
+    let parts = spent(&from_pipe["planes"][0]["bytes"])
+        + spent(&from_pipe["residual_bytes"])
+        + spent(&from_pipe["mask_bytes"]);
+    assert!(parts > 0 && parts < spent(&from_pipe["bytes"]));
     assert_eq!(
         (&from_pipe["sound"], from_pipe["maps"].as_u64()),
         (&true.into(), from_pipe["maps_there"].as_u64())

@@ -73,6 +73,19 @@ fn a_mesh_comes_back_at_any_zoom_and_window() {
     assert!((inside - 1.0 / 3f64.sqrt()).abs() <= error + voxel * 2.0, "{rows}");
     assert!(rows[1]["distance"].as_f64().unwrap() < 0.0 && rows[2]["distance"].is_null());
     assert!(refused(&["fractal", "point", &ifs, "1,2"], 1).contains("X,Y,Z"));
+    let csv = f.path("points.csv");
+    for (text, works) in
+        [("1,2,3,north\n", true), ("z,x,y\n3,1,2\n", true), ("1,2\n", false), ("x,y,z\n1,2,up\n", false)]
+    {
+        std::fs::write(&csv, text).unwrap();
+        if works {
+            let alone = printed(&["fractal", "point", &ifs, "1,2,3"]);
+            let told = printed(&["fractal", "point", &ifs, "--points", &csv]);
+            assert!(told.trim_end().ends_with(alone.lines().nth(1).unwrap()));
+        } else {
+            assert!(refused(&["fractal", "point", &ifs, "--points", &csv], 1).contains("z"));
+        }
+    }
     assert!(printed(&["fractal", "info", &ifs]).contains("volume"));
 }
 

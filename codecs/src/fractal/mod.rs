@@ -38,6 +38,6 @@ pub use ifs::{Ifs, Leaf, SAMPLES_MAX, Shape};
 pub use iterate::{Iterated, Stop};
 pub use matching::Search;
 pub use partition::Partition;
-pub use tile::{Picture, Tile};
+pub use tile::{Parts, Picture, Tile};
 pub use volume::encode_volume;
 pub use walk::Walk;

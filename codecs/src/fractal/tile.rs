@@ -30,6 +30,19 @@ pub struct Tile {
     pub damaged: Option<u64>,
     /// Bytes of the file.
     pub bytes: u64,
+    /// What they went to.
+    pub parts: Parts,
+}
+
+/// Bytes that parts of a file took, as far as it is there; a few bytes belong to two of them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Parts {
+    /// The mask of voids.
+    pub mask: u64,
+    /// Maps, by plane; of a volume one number.
+    pub maps: Vec<u64>,
+    /// What a bound adds.
+    pub residual: u64,
 }
 
 /// Bytes a pixel, row by row.
@@ -72,23 +85,37 @@ impl Tile {
             complete: false,
             damaged: read.damaged,
             bytes: bytes.len() as u64,
+            parts: Parts::default(),
             header,
         };
         let h = &tile.header;
+        let mut from = 0;
+        let mut since = |c: &Decoder| {
+            let to = c.position().min(read.bytes.len()) as u64;
+            to - std::mem::replace(&mut from, to)
+        };
         if h.mask {
             tile.void = vec![false; h.samples() as usize];
             mask::code(&mut tile.void, h.size[0], &mut c);
+            tile.parts.mask = since(&c);
         }
         match &h.shapes {
             Shapes::Planes(shapes) => {
-                tile.planes = shapes.iter().map(|s| tree::code(s, &tree::Unknown, &mut c)).collect();
+                for s in shapes {
+                    tile.planes.push(tree::code(s, &tree::Unknown, &mut c));
+                    tile.parts.maps.push(since(&c));
+                }
             }
-            Shapes::Volume(s) => tile.volume = Some(tree::code(s, &tree::Unknown, &mut c)),
+            Shapes::Volume(s) => {
+                tile.volume = Some(tree::code(s, &tree::Unknown, &mut c));
+                tile.parts.maps.push(since(&c));
+            }
         }
         if h.bound.is_some() {
             let [cols, rows] = tile.planes[0].shape.padded();
             tile.residual = vec![0; cols * rows];
             residual::code(&mut tile.residual, cols, [h.size[0], h.size[1]], &tile.void, &mut c);
+            tile.parts.residual = since(&c);
         }
         tile.complete = read.whole && !c.ended();
         Ok(tile)

@@ -17,13 +17,15 @@ const SURFACE: u8 = 16;
 /// and count so many times as much as others.
 const SURFACE_WEIGHT: f32 = 8.0;
 
-/// How often maps are given to where the surface runs on the wrong side of a sample.
+/// Sheets and cracks up to so many samples thick come and go with single samples.
+const THIN: usize = 2;
+/// How often maps are given out anew, for their sake.
 const ROUNDS: usize = 20;
-/// How much more such a sample counts each time.
+/// How much more a sample of theirs that decodes to the wrong side counts each time.
 const WRONG_WEIGHT: f64 = 256.0;
 
 /// Encodes a volume of signed distances in eighths of a voxel, -127 to 127, the first axis fastest. Samples near the surface count more, and of so many
-/// maps ([`Partition::Maps`]) more go, step by step, to where the surface would run on the wrong side of a sample.
+/// maps ([`Partition::Maps`]) more go, step by step, to thin sheets and cracks that would else close or open.
 pub fn encode_volume(
     size: [usize; 3],
     values: &[i8],
@@ -50,7 +52,7 @@ pub fn encode_volume(
         for _ in 0..ROUNDS {
             crate::work::check(workers, 1.0)?;
             let ifs = tree::code(&shape, &candidates.plan(partition)?, &mut Encoder::new());
-            let wrong = wrong_sides(size, &grid, &ifs)?;
+            let wrong = closed(size, &grid, &ifs)?;
             if wrong.is_empty() {
                 break;
             }
@@ -74,9 +76,33 @@ pub fn encode_volume(
     })
 }
 
-/// Samples that are inside and decode to outside, or the other way round: a surface that is nearer than a voxel to another one comes and goes with them.
-fn wrong_sides(size: [usize; 3], grid: &Grid<3>, ifs: &Ifs<3>) -> Result<Vec<[usize; 3]>> {
+/// Samples of thin sheets and cracks that are inside and decode to outside, or the other way round.
+fn closed(size: [usize; 3], grid: &Grid<3>, ifs: &Ifs<3>) -> Result<Vec<[usize; 3]>> {
     let found = ifs.iterate([1, 1], 0.0, Stop::PUBLISHED, &mut || true)?.grid;
-    let inside = |g: &Grid<3>, p: &[usize; 3]| g.values[g.at(*p)] > 0.0;
-    Ok(points(size).filter(|p| inside(grid, p) != inside(&found, p)).collect())
+    let wrong = |p: &[usize; 3]| {
+        let at = grid.at(*p);
+        (grid.values[at] > 0.0) != (found.values[at] > 0.0)
+    };
+    Ok(points(size).filter(|p| wrong(p) && (0..3).any(|axis| is_thin(size, grid, *p, axis))).collect())
+}
+
+/// Whether a sample lies between two of the other side that are at most [`THIN`] samples of its own apart.
+fn is_thin(size: [usize; 3], grid: &Grid<3>, p: [usize; 3], axis: usize) -> bool {
+    let inside = |q: [usize; 3]| grid.values[grid.at(q)] > 0.0;
+    let own = inside(p);
+    // Samples of the same side before the other one begins; what goes on beyond the volume is not thin.
+    let run = |step: isize| {
+        let mut q = p;
+        for n in 0..THIN {
+            match q[axis].checked_add_signed(step).filter(|v| *v < size[axis]) {
+                Some(v) => q[axis] = v,
+                None => return THIN,
+            }
+            if inside(q) != own {
+                return n;
+            }
+        }
+        THIN
+    };
+    1 + run(1) + run(-1) <= THIN
 }

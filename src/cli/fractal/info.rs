@@ -42,6 +42,9 @@ struct Told<'a> {
     psnr_db: Option<f64>,
     bound: Option<f64>,
     voids: u64,
+    /// Of `bytes`, what the mask of voids took, and what a bound adds; maps stand with their planes.
+    mask_bytes: u64,
+    residual_bytes: u64,
     search: &'static str,
     source: &'a str,
     #[serde(flatten)]
@@ -80,6 +83,8 @@ struct PlaneTold {
     scale_bits: u32,
     /// Step of the means.
     step: f64,
+    /// Of the file.
+    bytes: u64,
     maps: Vec<SideTold>,
 }
 
@@ -124,6 +129,8 @@ impl Info {
                 psnr_db: psnr_db(h),
                 bound: h.bound.map(|e| f64::from(e) * unit),
                 voids,
+                mask_bytes: o.tile.parts.mask,
+                residual_bytes: o.tile.parts.residual,
                 search: search_name(h.search),
                 source: &p.source,
                 place: heights.then_some(PlaceTold {
@@ -194,11 +201,21 @@ impl Info {
         lines.push(format!("state     {state}"));
         lines.push(format!("search    {}", search_name(h.search)));
         lines.push(format!("maps      {}, {} of them there", count(h.maps), count(o.tile.maps() as u64)));
+        let parts = &o.tile.parts;
+        let mut spent = vec![format!("maps {}", bytes(parts.maps.iter().sum()))];
+        if h.bound.is_some() {
+            spent.push(format!("what the bound adds {}", bytes(parts.residual)));
+        }
+        if h.mask {
+            spent.push(format!("voids {}", bytes(parts.mask)));
+        }
+        lines.push(format!("spent on  {}", spent.join(", ")));
         lines.iter().try_for_each(|l| out.line(l))?;
         for plane in &planes {
             out.line(format!(
-                "{}: ranges of {} to {}, domains every {}, {} isometries, {} bits of s, means in steps of {}",
+                "{}: {}, ranges of {} to {}, domains every {}, {} isometries, {} bits of s, means in steps of {}",
                 plane.name,
+                bytes(plane.bytes),
                 plane.range_max,
                 plane.range_min,
                 plane.jump,
@@ -224,12 +241,13 @@ fn planes(o: &Opened) -> Vec<PlaneTold> {
         Kind::Colour => &["brightness (Y)", "colour (I)", "colour (Q)"],
         Kind::Volume => &["distances"],
     };
-    let flat = o.tile.planes.iter().zip(names).map(|(p, name)| plane(name, p));
-    let solid = o.tile.volume.iter().map(|v| plane(names[0], v));
+    let spent = &o.tile.parts.maps;
+    let flat = o.tile.planes.iter().zip(names).zip(spent).map(|((p, name), bytes)| plane(name, p, *bytes));
+    let solid = o.tile.volume.iter().zip(spent).map(|(v, bytes)| plane(names[0], v, *bytes));
     flat.chain(solid).collect()
 }
 
-fn plane<const D: usize>(name: &'static str, ifs: &Ifs<D>) -> PlaneTold {
+fn plane<const D: usize>(name: &'static str, ifs: &Ifs<D>, bytes: u64) -> PlaneTold {
     let s: &Shape<D> = &ifs.shape;
     let mut maps: Vec<SideTold> = (0..s.levels())
         .map(|level| {
@@ -257,6 +275,7 @@ fn plane<const D: usize>(name: &'static str, ifs: &Ifs<D>) -> PlaneTold {
         near: s.near,
         scale_bits: s.scale_bits,
         step: s.step,
+        bytes,
         maps,
     }
 }

@@ -83,7 +83,7 @@ impl Shown<'_> {
     /// # Errors
     /// What writing meets.
     pub fn write_relief(&self, out: &mut dyn Write, going: Going) -> Result<RasterTold> {
-        grid::write_relief(out, &self.heights(), None, going)
+        grid::write_relief(out, &self.heights(), None, self.said().as_deref(), going)
     }
 
     /// Writes a picture as PNG.

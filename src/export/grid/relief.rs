@@ -8,7 +8,8 @@ use crate::format::relief::{Relief, write_painted_relief};
 use crate::height::crs::AxisUnit;
 use std::io::Write;
 
-/// Draws a shaded relief, north up as far as rows and columns allow. `paint`: the colour of a post, where it has one of its own.
+/// Draws a shaded relief, north up as far as rows and columns allow. `paint`: the colour of a post, where it has one of its own. `comment`:
+/// what the file says of itself.
 ///
 /// # Errors
 /// What writing meets.
@@ -16,6 +17,7 @@ pub fn write_relief(
     out: &mut dyn Write,
     grid: &Grid,
     paint: Option<&dyn Fn(usize) -> Option<[u8; 3]>>,
+    comment: Option<&str>,
     going: Going,
 ) -> Result<RasterTold> {
     go_on(going, "picture", 0.0)?;
@@ -41,6 +43,6 @@ pub fn write_relief(
         }
     };
     let relief = Relief { cols, rows, z: &z, cell_m, class: None, class_range: None };
-    write_painted_relief(out, &relief, paint.as_deref())?;
+    write_painted_relief(out, &relief, paint.as_deref(), comment)?;
     Ok(RasterTold { cols: cols as u64, rows: rows as u64, samples: "picture", rounding: 0.0 })
 }

@@ -26,7 +26,7 @@ pub fn write_tif(out: &mut (impl Write + Seek), p: &Prefix, going: Going) -> Res
 /// # Errors
 /// What writing meets.
 pub fn write_picture(out: &mut dyn Write, p: &Prefix, going: Going) -> Result<RasterTold> {
-    let Some(cells) = &p.picture else { return write_relief(out, &p.grid, None, going) };
+    let Some(cells) = &p.picture else { return write_relief(out, &p.grid, None, None, going) };
     let side = 1usize << cells.n;
     let last = p.header.lattice.last();
     let of = |k: usize| {
@@ -34,5 +34,5 @@ pub fn write_picture(out: &mut dyn Write, p: &Prefix, going: Going) -> Result<Ra
         let at = cell(k / p.grid.cols) * side + cell(k % p.grid.cols);
         (!cells.void.get(at).copied().unwrap_or(false)).then(|| cells.rgb[at])
     };
-    write_relief(out, &p.grid, Some(&of), going)
+    write_relief(out, &p.grid, Some(&of), None, going)
 }
