@@ -57,6 +57,21 @@ pub fn bytes_of(path: &Path, codec: Codec, most: Option<u64>) -> Result<(String,
     Err(Error::unsupported(name, format!("{what}, not a {wanted}"), format!("use `terraquilt {word}`")))
 }
 
+/// Refuses to write a codec's file under the name of another kind of file: it would be taken for one, or take the place of what was encoded.
+pub fn named(out: &Path, codec: Codec) -> Result<()> {
+    let (ending, what) = match codec {
+        Codec::Gtb => ("gtb", "a GTB file"),
+        Codec::Fractal => ("ifs", "a fractal tile"),
+    };
+    match out.extension() {
+        Some(e) if e.eq_ignore_ascii_case(ending) => Ok(()),
+        _ => Err(Error::invalid(
+            out.display(),
+            format!("{what} is written; name a file that ends with .{ending}"),
+        )),
+    }
+}
+
 /// Lines for the person.
 pub fn notes(lines: &[String]) {
     lines.iter().for_each(|n| message(&format!("note: {n}")));

@@ -23,6 +23,11 @@ fn wrong_calls_get_one_clear_line_and_leave_no_file() {
     let words = |args: &[&str]| args.iter().map(|a| a.to_string()).collect::<Vec<String>>();
     let cases: Vec<(Vec<String>, &str)> = vec![
         (encode(&["--bound", "-1"]), "at least 0"),
+        // Nothing is written over what is encoded, or under a name that says something else.
+        (words(&["fractal", "encode", &dem, &dem, "--bound", "1"]), "ends with .ifs"),
+        (words(&["fractal", "encode", &dem, &gtb, "--bound", "1"]), "ends with .ifs"),
+        (words(&["gtb", "encode", &dem, &dem]), "ends with .gtb"),
+        (words(&["gtb", "encode", &dem, &f.path("x")]), "ends with .gtb"),
         (encode(&["--bound", "nan"]), "at least 0"),
         (encode(&["--tolerance", "-1"]), "at least 0"),
         (encode(&["--const", "3"]), "power of two"),

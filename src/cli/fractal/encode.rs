@@ -3,7 +3,7 @@
 use super::super::args::numbers;
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
-use super::{metered, notes, short};
+use super::{Codec, metered, named, notes, short};
 use crate::base::{Error, Result, limits};
 use crate::export::fractal::{
     NEAR, Request, SentTold, Taken, VOXELS, search_of, send_heights, send_picture, send_solid,
@@ -129,6 +129,7 @@ fn size(v: u64) -> usize {
 impl Encode {
     pub fn run(self) -> Result<bool> {
         let started = Instant::now();
+        named(&self.out, Codec::Fractal)?;
         let request = self.request()?;
         let by_file = Taken::of(&self.file)?;
         let taken = match self.taken {
@@ -255,6 +256,9 @@ impl Encode {
             Some(b) => format!("error at most {}, guaranteed ({} measured)", short(b), short(t.error_max)),
             None if t.voxel.is_some() => {
                 format!("error at most {} eighths of a voxel, as measured", short(t.error_max))
+            }
+            None if t.kind != "heights" => {
+                format!("error at most {} grey levels, as measured", short(t.error_max))
             }
             None => format!("error at most {}, as measured", short(t.error_max)),
         };

@@ -5,7 +5,7 @@ mod encode;
 mod info;
 mod point;
 
-use super::coded::{Codec, bytes_of, metered, notes, short, unit_of};
+use super::coded::{Codec, bytes_of, metered, named, notes, short, unit_of};
 use crate::base::Result;
 use crate::export::fractal::{Opened, Worth};
 use clap::{Args, Subcommand};

@@ -2,7 +2,7 @@
 
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
-use super::{metered, notes, short, unit_of};
+use super::{Codec, metered, named, notes, short, unit_of};
 use crate::base::{Error, Result};
 use crate::export::gtb::{Grid, Request, SentTold, send};
 use crate::format::{self, picture::Picture};
@@ -74,6 +74,7 @@ struct Told<'a> {
 impl Encode {
     pub fn run(self) -> Result<bool> {
         let started = Instant::now();
+        named(&self.out, Codec::Gtb)?;
         let profile = match self.profile {
             ProfileName::Cubic => gtb::Profile::Cubic,
             ProfileName::Adaptive => gtb::Profile::Adaptive,
