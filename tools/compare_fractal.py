@@ -200,6 +200,7 @@ def document(program, only):
         yield from table_2(fractal, build("fractal_times"))
     if "F1" in only:
         yield "\n### Beside the prototype of the specification\n"
+        yield "Reached (acceptance F1): at most 0.3 dB and 3 % of the ratio below it.\n"
         yield from prototype(fractal)
     if "F7" in only:
         detail = build("detail")

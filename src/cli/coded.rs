@@ -87,11 +87,36 @@ pub fn short(v: f64) -> String {
     }
 }
 
+/// A bound, for people: as [`short`], but not less than it is, to a ten-millionth.
+pub fn at_most(v: f64) -> String {
+    let scale = if v == 0.0 || (1e-3..1e6).contains(&v.abs()) {
+        1e4
+    } else {
+        10f64.powi(3 - v.abs().log10().floor() as i32)
+    };
+    let digits = v * scale;
+    // What 0.3 is more as a float32 is no step.
+    let up = if (digits - digits.round()).abs() < 1e-3 { digits.round() } else { digits.ceil() };
+    if up.is_finite() { short(up / scale) } else { short(v) }
+}
+
 /// The unit of heights, with a space before it; nothing where it is not known.
 pub fn unit_of(vertical: &str) -> String {
     match vertical.split(' ').next().unwrap_or("") {
         "" | "?" => String::new(),
         unit if unit.parse::<f64>().is_ok() => format!(" units of {unit} m"),
         unit => format!(" {unit}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_are_never_printed_smaller_than_they_are() {
+        let shown = [0.095, 0.095_014_6, f64::from(0.3_f32), 1.0, 12.345_61, 0.0, 1.2341e-5, 1.230_1e7];
+        let found = shown.map(at_most);
+        assert_eq!(found, ["0.095", "0.0951", "0.3", "1", "12.3457", "0", "1.235e-5", "1.231e7"]);
     }
 }

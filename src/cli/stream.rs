@@ -1,6 +1,7 @@
 //! `export` of .gtb: the surface as a progressive stream, from a directory or a server.
 
 use super::args::listed;
+use super::coded::at_most;
 use super::export::write_whole;
 use super::output::{Meter, Output, bytes, count, message, stop_flag};
 use super::remote::Remote;
@@ -211,12 +212,12 @@ fn print((out, json): To, told: &Told, notes: &[String]) -> Result<bool> {
         return o.end();
     }
     o.line(format!(
-        "{}: {} x {} posts on {}, error at posts {:.3} m (surface {:.3}, rounding {}, codec {:.3}), {:.2} bits a post, {}",
+        "{}: {} x {} posts on {}, error at posts {} m (surface {:.3}, rounding {}, codec {:.3}), {:.2} bits a post, {}",
         out.display(),
         count(told.cols as u64),
         count(told.rows as u64),
         told.posts,
-        told.error_m,
+        at_most(told.error_m),
         told.surface_error_m,
         told.rounding_m,
         told.codec_error_m,

@@ -1,5 +1,6 @@
 //! `export` of .ifs: its options, and what is said of a fractal tile.
 
+use super::coded::at_most;
 use super::output::count;
 use crate::base::Result;
 use crate::export::fractal::{Choice, TileTold, search_of};
@@ -63,12 +64,12 @@ pub fn asked(request: v1::FileRequest, choice: &Choice) -> v1::FileRequest {
 /// One line for people.
 pub fn text(t: &TileTold) -> String {
     format!(
-        "{} x {} posts on {}, {} maps, error at posts {:.3} m (surface {:.3}, rounding {}, codec {:.3} {}), {:.2} bits a post",
+        "{} x {} posts on {}, {} maps, error at posts {} m (surface {:.3}, rounding {}, codec {:.3} {}), {:.2} bits a post",
         count(t.cols as u64),
         count(t.rows as u64),
         t.posts,
         count(t.maps),
-        t.error_m,
+        at_most(t.error_m),
         t.surface_error_m,
         t.rounding_m,
         t.codec_error_m,

@@ -47,7 +47,8 @@ impl Writing {
         for (source, at) in sources.iter_mut().zip(places) {
             let info = source.info().clone();
             let tile = write_tile(source.as_mut(), &declaration, at, &mut segment, call.progress)?;
-            warnings.extend(suspect(&info, &tile, &declaration));
+            let samples = declaration.delivered();
+            warnings.extend(info.suspect(tile.z.map(|z| (z - samples.offset) / samples.scale)));
             posts += info.cols * info.rows;
             voids += info.cols * info.rows - tile.valid;
             if tile.valid == 0 {
@@ -280,21 +281,6 @@ pub(super) fn foresee(db: &Db, view: &View, request: &Ingest, into: Option<&str>
         places.push(at);
     }
     Ok(Foreseen { entry, before, declaration, places, warnings })
-}
-
-/// Values that programs write where there is no data.
-const NODATA_LIKE: [f64; 6] = [-32768.0, -32767.0, -9999.0, -99999.0, 32767.0, -3.4028234663852886e38];
-
-/// A note if the lowest or highest sample looks like a nodata value that the file does not name.
-fn suspect(info: &SourceInfo, tile: &Tile, d: &Declaration) -> Option<String> {
-    let samples = d.delivered();
-    let raw = |z: f64| (z - samples.offset) / samples.scale;
-    let found =
-        NODATA_LIKE.into_iter().find(|v| tile.z.iter().any(|z| (raw(*z) - v).abs() < 1e-6 * v.abs()))?;
-    Some(format!(
-        "{}: {found} looks like a nodata value, and counts as a height; --nodata {found} says otherwise",
-        info.file
-    ))
 }
 
 /// Pages of a tile in the segment being written.

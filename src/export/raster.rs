@@ -26,7 +26,7 @@ pub struct Raster<'a> {
 }
 
 /// Errors that were met at the posts of a raster.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Met {
     /// The least certified error in metres; infinite where none was met.
     pub least: f64,
@@ -34,6 +34,8 @@ pub struct Met {
     pub most: f64,
     /// Posts with data in the rim outside every survey's core: certified nowhere.
     pub uncertified: u64,
+    /// Which: their places in the raster, ascending.
+    pub rim: Vec<usize>,
 }
 
 impl<'a> Raster<'a> {
@@ -186,24 +188,25 @@ impl<'a> Raster<'a> {
         going: Going,
         mut f: impl FnMut(usize, usize, &[f64]) -> Result<()>,
     ) -> Result<Met> {
-        let mut met = Met { least: f64::INFINITY, most: 0.0, uncertified: 0 };
+        let mut met = Met { least: f64::INFINITY, most: 0.0, uncertified: 0, rim: Vec::new() };
         for row0 in (0..self.rows).step_by(BAND) {
             go_on(going, "heights", row0 as f64 / self.rows as f64)?;
             let rows = BAND.min(self.rows - row0);
-            let (mut z, which, found);
+            let (mut z, which, found): (_, Option<Vec<usize>>, _);
             if self.coords.is_none() && self.mask.is_none() {
                 let xs: Vec<f64> = (0..self.cols).map(|c| self.center(c, row0)[0]).collect();
                 let ys: Vec<f64> = (row0..row0 + rows).map(|r| self.center(0, r)[1]).collect();
                 found = s.grid(&xs, &ys, &query.tolerance, query.how)?;
                 z = found.z.clone();
+                which = None;
             } else {
-                let points;
-                (which, points) = self.points(row0..row0 + rows);
+                let (places, points) = self.points(row0..row0 + rows);
                 found = s.planes(&points, &query.tolerance, query.how)?;
                 z = vec![f64::NAN; rows * self.cols];
-                for (k, height) in which.into_iter().zip(&found.z) {
-                    z[k] = *height;
+                for (k, height) in places.iter().zip(&found.z) {
+                    z[*k] = *height;
                 }
+                which = Some(places);
             }
             for k in (0..found.len()).filter(|k| !found.z[*k].is_nan()) {
                 if found.is_certified(k) {
@@ -211,6 +214,7 @@ impl<'a> Raster<'a> {
                     met.most = met.most.max(found.error_m[k]);
                 } else {
                     met.uncertified += 1;
+                    met.rim.push(row0 * self.cols + which.as_ref().map_or(k, |w| w[k]));
                 }
             }
             f(row0, rows, &z)?;

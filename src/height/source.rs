@@ -199,7 +199,20 @@ pub struct SourceInfo {
     pub notes: Vec<String>,
 }
 
+/// Values that programs write where there is no data.
+const NODATA_LIKE: [f64; 6] = [-32768.0, -32767.0, -9999.0, -99999.0, 32767.0, -3.4028234663852886e38];
+
 impl SourceInfo {
+    /// A note if the lowest or highest sample, as it stands in the file, looks like a nodata value that the file does not name.
+    pub fn suspect(&self, ends: [f64; 2]) -> Option<String> {
+        let found =
+            NODATA_LIKE.into_iter().find(|v| ends.iter().any(|raw| (raw - v).abs() < 1e-6 * v.abs()))?;
+        let file = &self.file;
+        Some(format!(
+            "{file}: {found} looks like a nodata value, and counts as a height; --nodata {found} says otherwise"
+        ))
+    }
+
     /// A grid of metres of which nothing else is known; `size`: columns and rows.
     pub fn new(
         file: impl Into<String>,

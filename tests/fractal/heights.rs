@@ -166,7 +166,7 @@ fn points_are_the_samples_and_above_zoom_1_what_the_maps_say() {
         let rows = json(&[&["fractal", "point", &ifs, "--zoom", zoom][..], &texts].concat());
         let csv = printed(&[&["fractal", "point", &ifs, "--zoom", zoom][..], &texts].concat());
         let mut lines = csv.lines();
-        assert_eq!(lines.next(), Some("x,y,z,error_m"));
+        assert_eq!(lines.next(), Some("x,y,z,error"));
         let rows = rows.as_array().unwrap();
         assert_eq!(rows.len(), asked.len());
         let mut void = 0;
@@ -180,12 +180,12 @@ fn points_are_the_samples_and_above_zoom_1_what_the_maps_say() {
             let at = cell(PLACE.origin[1] - p[1]) * grid.cols + cell(p[0] - PLACE.origin[0]);
             let wanted = grid.z[at];
             if wanted.is_nan() {
-                assert!(row["z"].is_null() && row["error_m"].is_null() && line.ends_with(",,"));
+                assert!(row["z"].is_null() && row["error"].is_null() && line.ends_with(",,"));
                 void += 1;
                 continue;
             }
             assert!((row["z"].as_f64().unwrap() - wanted).abs() < 1e-3, "{row} {wanted}");
-            assert_eq!(row["error_m"].is_null(), z > 1);
+            assert_eq!(row["error"].is_null(), z > 1);
             assert_eq!(line.ends_with(','), z > 1, "{line}");
         }
         assert!(void < 20);
@@ -200,9 +200,16 @@ fn points_are_the_samples_and_above_zoom_1_what_the_maps_say() {
     let alone = printed(&["fractal", "point", &ifs, "560012,5115990"]);
     let told = printed(&["fractal", "point", &ifs, "--points", &csv]);
     let rows: Vec<&str> = told.lines().collect();
-    assert_eq!(rows[0], "id,x,y,z,error_m");
+    assert_eq!(rows[0], "id,x,y,z,error");
     assert_eq!(rows[1], format!("\"a, b\",{}", alone.lines().nth(1).unwrap()));
     assert_eq!(rows[2], "c,0,0,,");
+    std::fs::write(&csv, "x,y,z\n560012,5115990,7\n").unwrap();
+    assert!(
+        printed(&["fractal", "point", &ifs, "--points", &csv]).starts_with("z_given,x,y,z,error\n7,560012,")
+    );
+    std::fs::write(&csv, "x,y\n").unwrap();
+    assert!(crate::support::refused(&["fractal", "point", &ifs, "--points", &csv], 1).contains("no points"));
+    std::fs::write(&csv, "id;y;x\n\"a, b\";5115990;560012\nc;0;0\n").unwrap();
     let rows = json(&["fractal", "point", &ifs, "--points", &csv]);
     assert_eq!((&rows[0]["columns"]["id"], &rows[0]["x"]), (&"a, b".into(), &560012.0.into()));
 }
@@ -231,6 +238,7 @@ fn passes_and_time_limit_the_work_and_enough_of_them_finish_it() {
         assert!(last < 1e-3);
         let told = json(&["fractal", "decode", &ifs, &out, "--milliseconds", "0"]);
         assert_eq!((told["finished"].as_bool(), &told["error_max"]), (Some(false), &().into()));
+        assert!(std::fs::read(&out).unwrap().windows(14).any(|w| w == b"stopped before"));
         let told = json(&["fractal", "decode", &ifs, &out, "--milliseconds", "100000"]);
         assert_eq!(told["finished"], true);
     }
@@ -317,6 +325,22 @@ fn tiny_narrow_constant_and_empty_grids() {
                 printed(&["fractal", "point", &ifs, "560000,5116000"]);
             }
         }
+    }
+}
+
+/// Far from zero float32 would round by a tenth of the bound.
+#[test]
+fn a_bound_holds_in_the_file_that_is_written() {
+    let f = Folder::new();
+    let (dem, ifs, out) = (f.path("dem.tif"), f.path("a.ifs"), f.path("a.tif"));
+    tif(&dem, 65, 33, |x, y| -8000.0 + hills(x, y) / 1000.0);
+    for (bound, samples) in [("0.005", "float64"), ("0.5", "float32")] {
+        printed(&["fractal", "encode", &dem, &ifs, "--bound", bound]);
+        let told = json(&["fractal", "decode", &ifs, &out]);
+        let bound: f64 = bound.parse().unwrap();
+        assert_eq!(told["samples"], samples, "{told}");
+        let off = difference(&grid_of(&dem), &grid_of(&out));
+        assert!(off <= told["error_max"].as_f64().unwrap() && off <= bound * 1.01, "{off} {told}");
     }
 }
 

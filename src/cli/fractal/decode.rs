@@ -32,10 +32,11 @@ pub struct Decode {
     file: PathBuf,
     /// File to write; its ending says the format
     out: PathBuf,
-    /// Samples of the result for one of the tile, along each axis
+    /// Samples of the result for one of the tile, along each axis: any number above 0, 0.25 or 2.5, too; last ones with their middle
+    /// beyond the tile are left out
     #[arg(long, value_name = "Z", default_value_t = 1.0, allow_negative_numbers = true)]
     zoom: f64,
-    /// Above zoom 1: what is between samples [default: controlled; plain of solids, and with --gpu]
+    /// Above zoom 1: what is between samples [default: controlled, at its best for tiles with a bound; plain of solids, and with --gpu]
     #[arg(long, value_enum)]
     detail: Option<DetailName>,
     /// Solids: only this box, in the coordinates of the mesh; closed where it cuts
@@ -197,7 +198,7 @@ impl Decode {
             Kind::Volume => ("a solid", &[Form::Glb, Form::Ply], "a .glb or .ply file"),
         };
         if !forms.contains(&form) {
-            let found = format!("the tile holds {what}, which is not written so");
+            let found = format!("no such file is made of {what}, which the tile holds");
             return Err(Error::unsupported(self.out.display(), found, format!("name {name}")));
         }
         let solid = o.kind() == Kind::Volume;
@@ -249,7 +250,7 @@ impl Decode {
             let mut in_time = || end.is_none_or(|end| Instant::now() < end);
             let (planes, p) = passes(o, most, &mut in_time, going)?;
             let worth = if p.finished { o.worth.clone() } else { o.worth.unknown() };
-            return Ok((Shown { opened: o, planes, zoom, detail, worth }, Some(p)));
+            return Ok((Shown { opened: o, planes, zoom, detail, worth, stopped: !p.finished }, Some(p)));
         }
         let one = |k| match self.gpu {
             true => plane_on_gpu(o, k, zoom),
@@ -258,7 +259,7 @@ impl Decode {
         let planes = (0..o.tile.planes.len()).map(one).collect::<Result<_>>()?;
         // A GPU's last digits are its own.
         let worth = if zoom.is_synthetic() || self.gpu { o.worth.unknown() } else { o.worth.clone() };
-        Ok((Shown { opened: o, planes, zoom, detail, worth }, None))
+        Ok((Shown { opened: o, planes, zoom, detail, worth, stopped: false }, None))
     }
 
     fn write(&self, out: &mut BufWriter<File>, form: Form, shown: &Shown, going: Going) -> Result<Written> {
@@ -304,7 +305,8 @@ impl Decode {
             let change = p
                 .change
                 .map_or(String::new(), |c| format!(", the last changed samples by {c:.3} on average"));
-            message(&format!("note: stopped after {} passes{change}; the error is unknown", p.passes));
+            let passes = if p.passes == 1 { "a pass".to_string() } else { format!("{} passes", p.passes) };
+            message(&format!("note: stopped after {passes}{change}; the error is unknown"));
         }
         let mut out = Output::new();
         if self.json {

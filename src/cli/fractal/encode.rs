@@ -3,7 +3,7 @@
 use super::super::args::numbers;
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
-use super::{Codec, metered, named, notes, short};
+use super::{Codec, at_most, metered, named, notes};
 use crate::base::{Error, Result, limits};
 use crate::export::fractal::{
     NEAR, Request, SentTold, Taken, VOXELS, search_of, send_heights, send_picture, send_solid,
@@ -28,7 +28,7 @@ use terraquilt_codecs::fractal::{Options, Partition, Search};
 #[derive(Args)]
 #[command(
     group = ArgGroup::new("far").args(["maps", "const_side", "tolerance", "slope", "bound"]).multiple(true).required(true),
-    after_help = "Examples:\n  terraquilt fractal encode crater.tif crater.ifs --bound 0.5       # no post farther off than half a metre\n  terraquilt fractal encode crater.tif crater.ifs --bound 0         # exact, to the unit\n  terraquilt fractal encode photo.png photo.ifs --maps 5000         # the best 5000 maps\n  terraquilt fractal encode photo.png photo.ifs --slope 20          # as many bits as pay\n  terraquilt fractal encode dem8bit.png dem.ifs --as heights --const 2\n  terraquilt fractal encode dem.tif dem.ifs --maps 9000 --interest 560000,5115000,561000,5116000,50\n  terraquilt fractal encode bunny.ply bunny.ifs --maps 5000 --voxels 128\n\nRead is every grid that `ingest` reads; GeoTIFF and PNG of 8 bits as pictures; PLY, GLB and glTF as meshes. Up to 16 million samples (a million if all domains are searched); some 200\nbytes of memory a sample."
+    after_help = "Examples:\n  terraquilt fractal encode crater.tif crater.ifs --bound 0.5       # no post farther off than half a metre\n  terraquilt fractal encode crater.tif crater.ifs --bound 0         # exact, to the unit\n  terraquilt fractal encode photo.png photo.ifs --maps 5000         # the best 5000 maps\n  terraquilt fractal encode photo.png photo.ifs --slope 20          # as many bits as pay\n  terraquilt fractal encode dem8bit.png dem.ifs --as heights --const 2\n  terraquilt fractal encode dem.tif dem.ifs --maps 9000 --interest 560000,5115000,561000,5116000,50\n  terraquilt fractal encode bunny.ply bunny.ifs --maps 5000 --voxels 128\n\nRead is every grid that `ingest` reads; GeoTIFF and PNG of 8 bits as pictures; PLY, GLB and glTF as meshes. Up to 16 million samples (a million if all domains are searched); some 200 bytes of memory a sample."
 )]
 pub struct Encode {
     /// DEM, picture or mesh
@@ -41,7 +41,7 @@ pub struct Encode {
     /// So many maps, where errors are greatest
     #[arg(long, value_name = "N", conflicts_with_all = ["const_side", "tolerance", "slope"])]
     maps: Option<u64>,
-    /// All ranges of this side, a power of two up to 32: 2 is near lossless
+    /// All ranges of this side, a power of two up to 32; 1: every sample its own, 2: one map for four
     #[arg(long = "const", value_name = "R", conflicts_with_all = ["tolerance", "slope"])]
     const_side: Option<u64>,
     /// Ranges are split until the root mean square error of each is at most this, in the file's own units
@@ -157,6 +157,7 @@ impl Encode {
                     notes(&source.info().notes);
                     let (side, most) = (SIDE_MAX as u64, limits::FRACTAL_POSTS_MAX);
                     let grid = Grid::read_within(source.as_mut(), side, most, going)?;
+                    notes(&grid.notes);
                     send_heights(&grid, &request, going)?
                 }
                 Taken::Picture => {
@@ -251,16 +252,18 @@ impl Encode {
             return out.end();
         }
         let size: Vec<String> = t.size.iter().map(usize::to_string).collect();
-        let psnr = t.psnr_db.map_or("no difference".into(), |p| format!("{p:.2} dB"));
+        let psnr = t.psnr_db.map_or("every unit the same".into(), |p| format!("{p:.2} dB"));
         let error = match t.error_bound {
-            Some(b) => format!("error at most {}, guaranteed ({} measured)", short(b), short(t.error_max)),
+            Some(b) => {
+                format!("error at most {}, guaranteed ({} measured)", at_most(b), at_most(t.error_max))
+            }
             None if t.voxel.is_some() => {
-                format!("error at most {} eighths of a voxel, as measured", short(t.error_max))
+                format!("error at most {} eighths of a voxel, as measured", at_most(t.error_max))
             }
             None if t.kind != "heights" => {
-                format!("error at most {} grey levels, as measured", short(t.error_max))
+                format!("error at most {} grey levels, as measured", at_most(t.error_max))
             }
-            None => format!("error at most {}, as measured", short(t.error_max)),
+            None => format!("error at most {}, as measured", at_most(t.error_max)),
         };
         out.line(format!(
             "{}: {} of {} in {}, {:.3} bits a sample, {} maps, {psnr}, {error}",

@@ -1,7 +1,7 @@
 //! `fractal info`: what a fractal tile holds.
 
 use super::super::output::{Output, bytes, count, table};
-use super::{Codec, bytes_of, error_of, errors_in, notes, short};
+use super::{Codec, at_most, bytes_of, error_of, errors_in, notes, short};
 use crate::base::Result;
 use crate::export::fractal::{Opened, Worth, kind_name, psnr_db, search_name, told};
 use clap::Args;
@@ -12,7 +12,7 @@ use terraquilt_codecs::fractal::{Header, Ifs, Kind, Shape};
 /// Say what a fractal tile holds, what it is worth, and whether it is whole and sound
 #[derive(Args)]
 #[command(
-    after_help = "Example:\n  terraquilt fractal info crater.ifs\nOf a file that is cut, what is there is described."
+    after_help = "Example:\n  terraquilt fractal info crater.ifs\n\nOf a file that is cut, what is there is described."
 )]
 pub struct Info {
     /// Fractal tile; `-`: standard input
@@ -148,7 +148,7 @@ impl Info {
         let or = |text: &str| if text.is_empty() { "unknown".to_string() } else { text.to_string() };
         let size: Vec<String> = h.size[..axes].iter().map(usize::to_string).collect();
         let share = found.len() as f64 / whole.max(1) as f64 * 100.0;
-        let psnr = psnr_db(h).map_or("no difference".into(), |p| format!("{p:.2} dB"));
+        let psnr = psnr_db(h).map_or("every unit the same".into(), |p| format!("{p:.2} dB"));
         let mut lines = vec![
             format!(
                 "file      {} of {} ({:.1} %)",
@@ -173,7 +173,8 @@ impl Info {
                 t[0], t[3], t[1], t[4], t[2], t[5]
             ));
             lines.push(format!("crs       {}", or(&p.crs)));
-            lines.push(format!("heights   {} + {} x integer, {}", p.base, p.unit, or(&p.vertical)));
+            let vertical = if p.vertical.is_empty() { "unit and datum unknown" } else { &p.vertical };
+            lines.push(format!("heights   {} + {} x integer, {vertical}", p.base, p.unit));
         }
         if let Some(s) = h.space {
             let [x, y, z] = s.origin;
@@ -188,7 +189,7 @@ impl Info {
         if heights && p.given_error > 0.0 {
             lines.push(format!(
                 "          of which {} before coding (rounding to the unit, and the source's own)",
-                short(p.given_error)
+                at_most(p.given_error)
             ));
         }
         let state = match (o.worth.complete, o.worth.damaged_at) {

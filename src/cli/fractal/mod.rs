@@ -5,7 +5,7 @@ mod encode;
 mod info;
 mod point;
 
-use super::coded::{Codec, bytes_of, metered, named, notes, short, unit_of};
+use super::coded::{Codec, at_most, bytes_of, metered, named, notes, short, unit_of};
 use crate::base::Result;
 use crate::export::fractal::{Opened, Worth};
 use clap::{Args, Subcommand};
@@ -56,7 +56,7 @@ fn errors_in(o: &Opened) -> String {
 fn error_of(worth: &Worth, unit: &str) -> String {
     match worth.error_max {
         None => "error unknown".into(),
-        Some(e) if worth.certified => format!("error at most {}{unit}, guaranteed", short(e)),
-        Some(e) => format!("error at most {}{unit}, as measured", short(e)),
+        Some(e) if worth.certified => format!("error at most {}{unit}, guaranteed", at_most(e)),
+        Some(e) => format!("error at most {}{unit}, as measured", at_most(e)),
     }
 }

@@ -13,9 +13,10 @@ use terraquilt_codecs::fractal::Kind;
 
 /// The value of a fractal tile at points
 ///
-/// Prints CSV: x,y,z,error_m (pictures: x,y,grey,error or x,y,red,green,blue,error; solids: x,y,z,distance,error, positive inside). At zoom 1 a
-/// point gets the measured sample whose cell it lies in, and error_m is how far that sample is from the source's. Above zoom 1 it gets what the
-/// maps say there: synthetic, of unknown error. Nothing off the tile and where there is no data. Further columns of --points come first.
+/// Prints CSV: x,y,z,error (pictures: x,y,grey,error or x,y,red,green,blue,error; solids: x,y,z,distance,error, positive inside), heights and their
+/// errors in the unit that `fractal info` names. At zoom 1 a point gets the measured sample whose cell it lies in, and error is how far that sample is
+/// from the source's at most. Above zoom 1 it gets what the maps say there: synthetic, of unknown error. Nothing off the tile and where there is no
+/// data. Further columns of --points come first.
 #[derive(Args)]
 #[command(
     after_help = "Examples:\n  terraquilt fractal point crater.ifs 562310.5,5116320\n  terraquilt fractal point crater.ifs 562310.5,5116320 562315,5116320 --zoom 8 --json\n  terraquilt fractal point crater.ifs --points stakes.csv > heights.csv\n  terraquilt fractal point photo.ifs 120.5,80.5           # pixels from the upper left corner, downwards\n  terraquilt fractal point bunny.ifs 0,0.1,0"
@@ -37,6 +38,9 @@ pub struct Point {
     json: bool,
 }
 
+/// Columns that are printed.
+const NAMES: [&str; 9] = ["x", "y", "z", "error", "grey", "red", "green", "blue", "distance"];
+
 impl Point {
     pub fn run(self) -> Result<bool> {
         let zoom = Zoom::new(self.zoom)?;
@@ -51,7 +55,9 @@ impl Point {
                 "note: no point lies on the tile, or none has data; `terraquilt fractal info` says where it lies",
             );
         } else if zoom.is_synthetic() {
-            message("note: values are synthetic: the maps say them, nobody measured them");
+            message(
+                "note: values are synthetic: the maps say them (as `decode --detail plain`), nobody measured them",
+            );
         }
         let mut out = Output::new();
         if self.json {
@@ -66,7 +72,7 @@ impl Point {
             return out.end();
         }
         let (head, values) = match o.kind() {
-            Kind::Heights => ("x,y,z,error_m", 1),
+            Kind::Heights => ("x,y,z,error", 1),
             Kind::Grey => ("x,y,grey,error", 1),
             Kind::Colour => ("x,y,red,green,blue,error", 3),
             Kind::Volume => ("x,y,z,distance,error", 1),
@@ -95,6 +101,9 @@ impl Point {
             return Ok((self.at_points.iter().map(|t| self.point(t, axes)).collect::<Result<_>>()?, None));
         };
         let read = read_points(file)?;
+        if read.xy.is_empty() {
+            return Err(Error::invalid(file.display(), "holds no points; a line each is needed: x,y"));
+        }
         let mut asked: Vec<Vec<f64>> = read.xy.iter().map(|p| p.to_vec()).collect();
         let mut columns = read.table;
         let mut places: Vec<usize> = columns.iter().flat_map(|t| t.place).collect();
@@ -127,6 +136,10 @@ impl Point {
             };
             t.rows = t.rows.iter().map(|r| rest(r)).collect();
             t.names = rest(&t.names);
+            // Two columns of one name would be one to who reads them.
+            for name in t.names.iter_mut().filter(|n| NAMES.iter().any(|own| own.eq_ignore_ascii_case(n))) {
+                name.push_str("_given");
+            }
         }
         Ok((asked, columns.filter(|t| !t.names.is_empty())))
     }
@@ -149,7 +162,7 @@ fn row(o: &Opened, zoom: Zoom, p: &[f64], a: Option<&Answer>) -> Value {
     match o.kind() {
         Kind::Heights => {
             put("z", value(0));
-            put("error_m", error);
+            put("error", error);
         }
         Kind::Grey => {
             put("grey", value(0));

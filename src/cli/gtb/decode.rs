@@ -2,7 +2,7 @@
 
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
-use super::{Codec, bytes_of, metered, notes, short, unit_of};
+use super::{Codec, at_most, bytes_of, metered, notes, short, unit_of};
 use crate::base::{Error, Result};
 use crate::export::Going;
 use crate::export::gtb::{
@@ -159,12 +159,12 @@ impl Decode {
             "{} read: every {} post known, error at most {}{unit}; {state}",
             bytes(reached.bytes_used),
             ordinal(reached.spacing),
-            short(reached.error_bound),
+            at_most(reached.error_bound),
         ));
         if let Some(asked) = self.error.filter(|e| p.reached.error_bound > *e) {
             message(&format!(
                 "note: what is there gives {}{unit}, {} was asked",
-                short(p.reached.error_bound),
+                at_most(p.reached.error_bound),
                 short(asked)
             ));
         }
@@ -188,7 +188,7 @@ impl Decode {
         out.line(format!(
             "{}: {text}, error {}{unit}, {}",
             self.out.display(),
-            short(reached.error_bound),
+            at_most(reached.error_bound),
             bytes(size)
         ))?;
         out.end()

@@ -2,7 +2,7 @@
 
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
-use super::{Codec, metered, named, notes, short, unit_of};
+use super::{Codec, at_most, metered, named, notes, unit_of};
 use crate::base::{Error, Result};
 use crate::export::gtb::{Grid, Request, SentTold, send};
 use crate::format::{self, picture::Picture};
@@ -94,6 +94,7 @@ impl Encode {
         };
         let sent = metered(|going| {
             let grid = Grid::read(source.as_mut(), going)?;
+            notes(&grid.notes);
             let request =
                 Request { profile, unit: self.unit, bounds, share, picture: picture.as_mut(), cells_n };
             let sent = send(&grid, request, going)?;
@@ -119,7 +120,7 @@ impl Encode {
             count(t.samples),
             bytes(t.bytes),
             t.bits_per_sample,
-            short(t.error_max),
+            at_most(t.error_max),
             unit_of(&place.vertical),
         ))?;
         out.end()

@@ -1,7 +1,7 @@
 //! `gtb info`: what a GTB file holds, and what each part of it shows.
 
 use super::super::output::{Output, bytes, count, table};
-use super::{Codec, bytes_of, metered, notes, short, unit_of};
+use super::{Codec, at_most, bytes_of, metered, notes, short, unit_of};
 use crate::base::Result;
 use crate::export::gtb::{Reached, Until, read_prefix, told};
 use clap::Args;
@@ -136,7 +136,7 @@ impl Info {
             ))?;
         }
         let complete = if p.reached.complete { "complete" } else { "not complete" };
-        out.line(format!("now       error at most {}{unit}, {complete}", short(p.reached.error_bound)))?;
+        out.line(format!("now       error at most {}{unit}, {complete}", at_most(p.reached.error_bound)))?;
         let rows: Vec<Vec<String>> = passes
             .iter()
             .map(|p| {
@@ -145,7 +145,7 @@ impl Info {
                     p.spacing.to_string(),
                     p.kind.to_string(),
                     p.bytes.to_string(),
-                    short(p.error_bound),
+                    at_most(p.error_bound),
                 ]
             })
             .collect();
@@ -195,11 +195,16 @@ impl Info {
                 t[0], t[3], t[1], t[4], t[2], t[5]
             ),
             format!("crs       {}", or(&place.crs)),
-            format!("heights   {} + {} x integer, {}", place.base, place.unit, or(&place.vertical)),
+            format!(
+                "heights   {} + {} x integer, {}",
+                place.base,
+                place.unit,
+                if place.vertical.is_empty() { "unit and datum unknown" } else { &place.vertical }
+            ),
             format!("profile   {}, {bound}", name_of(h.profile)),
             format!(
                 "error     {} before coding (rounding to the unit, and the source's own)",
-                short(place.given_error)
+                at_most(place.given_error)
             ),
         ];
         lines.iter().try_for_each(|l| out.line(l))?;

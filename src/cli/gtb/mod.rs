@@ -4,7 +4,7 @@ mod decode;
 mod encode;
 mod info;
 
-use super::coded::{Codec, bytes_of, metered, named, notes, short, unit_of};
+use super::coded::{Codec, at_most, bytes_of, metered, named, notes, short, unit_of};
 use crate::base::Result;
 use clap::{Args, Subcommand};
 

@@ -23,6 +23,8 @@ pub struct Shown<'a> {
     pub detail: Detail,
     /// What the samples are worth.
     pub worth: Worth,
+    /// Whether decoding was stopped before the samples had settled.
+    pub stopped: bool,
 }
 
 impl Shown<'_> {
@@ -35,7 +37,8 @@ impl Shown<'_> {
             d => Some(format!("SYNTHETIC: {} fractal detail below the sample distance, zoom {z}", d.name())),
         };
         let missing = (!self.worth.complete).then(|| "made of a part of its file".to_string());
-        let parts: Vec<String> = zoomed.into_iter().chain(missing).collect();
+        let stopped = self.stopped.then(|| "stopped before its samples had settled".to_string());
+        let parts: Vec<String> = zoomed.into_iter().chain(missing).chain(stopped).collect();
         (!parts.is_empty()).then(|| format!("fractal tile, {}", parts.join("; ")))
     }
 
@@ -69,10 +72,12 @@ impl Shown<'_> {
     pub fn write_tif(&self, out: &mut (impl Write + Seek), going: Going) -> Result<RasterTold> {
         let place = &self.opened.tile.header.place;
         let exact = self.worth.complete && self.zoom.get() == 1.0 && self.worth.certified;
+        // Float32 may add a hundredth to what is guaranteed; more, and it takes float64.
+        let guaranteed = self.worth.error_max.filter(|e| self.worth.certified && *e > 0.0);
         let samples = Samples {
             whole: exact && place.unit == 1.0 && place.base.fract() == 0.0,
             single: exact && self.worth.error_max == Some(0.0),
-            unit: place.unit,
+            unit: guaranteed.map_or(place.unit, |e| place.unit.min(8.0 * e / 100.0)),
             description: self.said(),
         };
         grid::write_tif(out, &self.heights(), &samples, going)
@@ -133,6 +138,7 @@ impl Shown<'_> {
         extras.insert("zoom".into(), json!(self.zoom.get()));
         extras.insert("certified".into(), json!(self.worth.certified));
         extras.insert("complete".into(), json!(self.worth.complete));
+        extras.insert("finished".into(), json!(!self.stopped));
         extras.insert("synthetic".into(), json!(self.zoom.is_synthetic()));
         if self.zoom.is_synthetic() {
             extras.insert("detail".into(), json!(self.detail.name()));

@@ -97,7 +97,7 @@ pub struct TileTold {
     /// Posts with data.
     pub samples: u64,
     pub voids: u64,
-    /// Posts with data in the rim outside every survey's core, where no error is certified.
+    /// Posts with data in the rim outside every survey's core, where no error is certified: left out, as voids.
     pub uncertified: u64,
     pub bits_per_sample: f64,
     pub maps: u64,
@@ -124,7 +124,8 @@ pub struct TileTold {
 impl TileTold {
     /// What a person should know; `tolerance`: what was asked.
     pub fn notes(&self, tolerance: Option<&Tolerance>) -> Vec<String> {
-        let mut out: Vec<String> = rim_note(self.uncertified).into_iter().collect();
+        let mut out: Vec<String> =
+            rim_note(self.uncertified).map(|n| format!("{n}; they are left out")).into_iter().collect();
         let (codec, given) = (self.codec_error_m, self.error_m - self.codec_error_m);
         if !self.bounded {
             out.push(format!(
@@ -160,7 +161,15 @@ pub fn tile(s: &Snapshot, r: &TileRequest, going: Going) -> Result<(Vec<u8>, Til
     let posts = Posts::new(s, r.place, r.step)?;
     let search = r.choice.search.unwrap_or(Search::Near(NEAR));
     limited(&posts, search, r)?;
-    let (z, met) = posts.surface(s, &query, r.place, going)?;
+    let (mut z, met) = posts.surface(s, &query, r.place, going)?;
+    // The file states one error for all its posts: those for which none is certified have no place in it.
+    met.rim.iter().for_each(|k| z[*k] = f64::NAN);
+    if z.iter().all(|v| v.is_nan()) {
+        return Err(Error::invalid(
+            "region",
+            "all its posts lie in the rim of their surveys, where no error is certified, and a tile states its error; `export .tif` writes them",
+        ));
+    }
     let settled = shares.settle([met.least, met.most]);
     let heights = posts.rounded(z, settled.unit);
     let place = posts.placed(s, settled.unit, settled.given_error)?;

@@ -36,6 +36,8 @@ pub struct Grid {
     pub given_error: f64,
     /// What they come from.
     pub source: String,
+    /// What a person should know of the samples.
+    pub notes: Vec<String>,
 }
 
 /// A grid as the codec takes it.
@@ -94,6 +96,9 @@ impl Grid {
                 *v = if *valid == 0 { f64::NAN } else { *v * info.scale + info.offset };
             }
         }
+        let known = z.iter().filter(|z| !z.is_nan());
+        let [low, high] = known.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], z| [l.min(*z), h.max(*z)]);
+        let notes = info.suspect([low, high].map(|z| (z - info.offset) / info.scale)).into_iter().collect();
         let whole = !info.sample_type.is_float() && info.scale.is_finite() && info.scale != 0.0;
         Ok(Grid {
             cols,
@@ -107,6 +112,7 @@ impl Grid {
             vertical_unit_m: info.vertical_unit_m,
             given_error: 0.0,
             source: name_of(&info.file),
+            notes,
         })
     }
 
@@ -153,7 +159,7 @@ impl Grid {
             return Err(Error::invalid(
                 "--unit",
                 format!(
-                    "heights from {low} to {high} are {:.0} units of {unit}, {most:.0} are allowed; take a larger unit",
+                    "heights from {low:.4e} to {high:.4e} are {:.4e} units of {unit}, {most:.0} are allowed; take a larger unit",
                     (high - low) / unit
                 ),
             ));

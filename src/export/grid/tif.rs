@@ -31,7 +31,7 @@ pub struct Samples {
     pub whole: bool,
     /// Heights come back as the same float32 that they were.
     pub single: bool,
-    /// Unit of the heights.
+    /// Float32 may round by an eighth of this: the unit of the heights, or less.
     pub unit: f64,
     /// What the file says of them, if anything.
     pub description: Option<String>,
