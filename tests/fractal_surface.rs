@@ -72,9 +72,7 @@ fn surface(s: &Snapshot, tile: &Tile, error_m: f64) -> Planes {
 fn distance(heights: &[f64], surface: &Planes) -> f64 {
     assert_eq!(heights.len(), surface.z.len());
     let told = |k: &usize| !surface.z[*k].is_nan() && surface.is_certified(*k);
-    for k in 0..heights.len() {
-        assert_eq!(!heights[k].is_nan(), told(&k));
-    }
+    heights.iter().enumerate().for_each(|(k, z)| assert_eq!(!z.is_nan(), told(&k)));
     (0..heights.len()).filter(told).map(|k| (heights[k] - surface.z[k]).abs()).fold(0.0, f64::max)
 }
 
