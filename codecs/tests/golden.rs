@@ -6,7 +6,7 @@ use terraquilt_codecs::gtb::texture::{Cells, Reader, Settings, Writer};
 use terraquilt_codecs::gtb::{Decoded, Heights, Options, Place, Profile, Stop, decode, encode};
 
 /// Hills, with a lake of voids.
-fn heights(with_voids: bool) -> Heights {
+pub fn heights(with_voids: bool) -> Heights {
     let (cols, rows) = (61, 45);
     let hill = |x: i64, y: i64| {
         let bump = |cx: i64, cy: i64, h: i64| h * 400 / (400 + (x - cx) * (x - cx) + (y - cy) * (y - cy));

@@ -72,6 +72,20 @@ pub fn named(out: &Path, codec: Codec) -> Result<()> {
     }
 }
 
+/// The ending of a file to write, in small letters.
+pub fn ending(out: &Path) -> String {
+    out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
+}
+
+/// Refuses to write a file by its [`ending`]. `name`: how those are called that are written.
+pub fn no_format(out: &Path, name: &'static str) -> Error {
+    let found = match ending(out).as_str() {
+        "" => "has no ending that names a format".to_string(),
+        other => format!("ending '.{other}' is no format that is written"),
+    };
+    Error::unsupported(out.display(), found, name)
+}
+
 /// Lines for the person.
 pub fn notes(lines: &[String]) {
     lines.iter().for_each(|n| message(&format!("note: {n}")));

@@ -11,6 +11,14 @@ use terraquilt_codecs::heights::{Heights, Place as Placed};
 /// What a file says of where it comes from, but for the version.
 const SOURCE: &str = "terraquilt, version ";
 
+/// What becomes of posts in the rim outside every survey's core, where no error is certified.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Rim {
+    Kept,
+    /// They are voids, as places without data are.
+    LeftOut,
+}
+
 /// Posts, and where they lie in words.
 pub struct Posts<'a> {
     pub raster: Raster<'a>,
@@ -52,14 +60,25 @@ impl<'a> Posts<'a> {
         s: &Snapshot,
         query: &Query,
         place: &Place,
+        rim: Rim,
         going: Going,
     ) -> Result<(Vec<f64>, Met)> {
         let mut z = Vec::with_capacity(self.raster.cols * self.raster.rows);
-        let met = self.raster.doubles(s, query, going, |_, _, band| {
+        let met = self.raster.doubles(s, query, going, |_, _, band, uncertified| {
+            let first = z.len();
             z.extend_from_slice(band);
+            if rim == Rim::LeftOut {
+                uncertified.iter().for_each(|k| z[first + k] = f64::NAN);
+            }
             Ok(())
         })?;
         if z.iter().all(|v| v.is_nan()) {
+            if rim == Rim::LeftOut && met.uncertified > 0 {
+                return Err(Error::invalid(
+                    "region",
+                    "all its posts lie in the rim of their surveys, where no error is certified; `export .tif` writes them",
+                ));
+            }
             return Err(nothing(s, place));
         }
         Ok((z, met))

@@ -26,7 +26,7 @@ pub struct Raster<'a> {
 }
 
 /// Errors that were met at the posts of a raster.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Met {
     /// The least certified error in metres; infinite where none was met.
     pub least: f64,
@@ -34,8 +34,6 @@ pub struct Met {
     pub most: f64,
     /// Posts with data in the rim outside every survey's core: certified nowhere.
     pub uncertified: u64,
-    /// Which: their places in the raster, ascending.
-    pub rim: Vec<usize>,
 }
 
 impl<'a> Raster<'a> {
@@ -174,21 +172,21 @@ impl<'a> Raster<'a> {
         going: Going,
         mut f: impl FnMut(usize, usize, &[f32]) -> Result<()>,
     ) -> Result<f64> {
-        let met = self.doubles(s, query, going, |row0, rows, z| {
+        let met = self.doubles(s, query, going, |row0, rows, z, _| {
             f(row0, rows, &z.iter().map(|z| *z as f32).collect::<Vec<f32>>())
         });
         met.map(|m| m.most)
     }
 
-    /// As [`Raster::heights`], as they are computed.
+    /// As [`Raster::heights`], as they are computed, and which of a band lie in the rim, where no error is certified.
     pub fn doubles(
         &self,
         s: &Snapshot,
         query: &Query,
         going: Going,
-        mut f: impl FnMut(usize, usize, &[f64]) -> Result<()>,
+        mut f: impl FnMut(usize, usize, &[f64], &[usize]) -> Result<()>,
     ) -> Result<Met> {
-        let mut met = Met { least: f64::INFINITY, most: 0.0, uncertified: 0, rim: Vec::new() };
+        let mut met = Met { least: f64::INFINITY, most: 0.0, uncertified: 0 };
         for row0 in (0..self.rows).step_by(BAND) {
             go_on(going, "heights", row0 as f64 / self.rows as f64)?;
             let rows = BAND.min(self.rows - row0);
@@ -208,16 +206,17 @@ impl<'a> Raster<'a> {
                 }
                 which = Some(places);
             }
+            let mut rim = Vec::new();
             for k in (0..found.len()).filter(|k| !found.z[*k].is_nan()) {
                 if found.is_certified(k) {
                     met.least = met.least.min(found.error_m[k]);
                     met.most = met.most.max(found.error_m[k]);
                 } else {
                     met.uncertified += 1;
-                    met.rim.push(row0 * self.cols + which.as_ref().map_or(k, |w| w[k]));
+                    rim.push(which.as_ref().map_or(k, |w| w[k]));
                 }
             }
-            f(row0, rows, &z)?;
+            f(row0, rows, &z, &rim)?;
         }
         Ok(met)
     }

@@ -6,7 +6,7 @@
 use super::drape::{Drape, Square};
 use super::gtb;
 use super::place::Place;
-use super::posts::{Posts, nothing, rim_note};
+use super::posts::{Posts, Rim, nothing, rim_note};
 use super::raster::{Met, Raster};
 use super::shares::{Choice, Settled, Shares};
 use super::{Going, go_on};
@@ -101,7 +101,7 @@ pub fn stream(
         return Err(nothing(s, &r.place));
     }
     let posts = posts(s, r, earlier)?;
-    let (z, met) = posts.surface(s, &query, &r.place, going)?;
+    let (z, met) = posts.surface(s, &query, &r.place, Rim::Kept, going)?;
     let settled = shares.settle([met.least, met.most]);
     let heights = posts.rounded(z, settled.unit);
     let place = posts.placed(s, settled.unit, settled.given_error)?;

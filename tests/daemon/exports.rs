@@ -1,9 +1,9 @@
 //! Files from a server are those of the command line, byte for byte.
 
+use super::by_hand;
 use super::hills::{DOME, file as delivered, hills};
 use super::support::{connect, serve};
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 use terraquilt::client::{Connection, export};
 use terraquilt::wire::v1;
@@ -20,21 +20,12 @@ fn request(format: Format, error_m: f64) -> v1::FileRequest {
     v1::FileRequest { format: format as i32, tolerance, region: region(DOME), ..Default::default() }
 }
 
-/// What the command line writes, and prints.
-fn by_hand(folder: &Path, ending: &str, args: &[&str]) -> (Vec<u8>, serde_json::Value) {
-    let out = folder.join(format!("by-hand.{ending}"));
+/// What the command line writes, and prints, of the database.
+fn written(folder: &Path, ending: &str, args: &[&str]) -> (Vec<u8>, serde_json::Value) {
     let db = folder.join("db");
-    let run = Command::new(env!("CARGO_BIN_EXE_terraquilt"))
-        .args(["export", db.to_str().unwrap(), out.to_str().unwrap(), "--json"])
-        .args(args)
-        .output()
-        .unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let mut json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
-    let map = json.as_object_mut().unwrap();
-    assert!(map.remove("out").is_some());
-    map.remove("seconds");
-    (std::fs::read(&out).unwrap(), json)
+    let (bytes, mut json, _) = by_hand::export(folder, ending, &[db.to_str().unwrap()], args);
+    json.as_object_mut().unwrap().remove("seconds");
+    (bytes, json)
 }
 
 async fn asked(c: &Connection, r: v1::FileRequest) -> (Vec<u8>, serde_json::Value, v1::FileChunk) {
@@ -95,7 +86,7 @@ async fn files_are_those_of_the_command_line() {
     for (ending, args, r) in cases {
         let at = r.at;
         let (bytes, json, end) = asked(&c, r).await;
-        let (by_hand, said) = by_hand(folder.path(), ending, &args);
+        let (by_hand, said) = written(folder.path(), ending, &args);
         assert_eq!(end.version, if at == 0 { 3 } else { at });
         assert_eq!(json, said, "{args:?}");
         assert!(bytes == by_hand, "{args:?}: {} and {} bytes differ", bytes.len(), by_hand.len());

@@ -1,6 +1,8 @@
 //! The daemon, over real connections on loopback. A binary of its own: it needs a runtime, and links in a fraction of the
 //! time of the other.
 
+/// What the command line says to the same question.
+mod by_hand;
 /// Calls of the ingest service, message by message.
 mod calls;
 /// Databases, servers and clients for these tests.

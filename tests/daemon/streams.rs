@@ -1,10 +1,9 @@
 //! The surface as a stream from a server: the bytes of the command line, whole or from where the client is; refinements of what the
 //! client holds; what breaks off, changes and is refused.
 
+use super::by_hand;
 use super::hills::{DOME, arrival, commit, hills};
 use super::support::{connect, empty, serve};
-use std::path::Path;
-use std::process::{Command, Output};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -68,21 +67,6 @@ async fn asked(c: &Connection, r: v1::SurfaceRequest) -> (v1::SurfaceHead, Vec<u
     (head.unwrap(), bytes)
 }
 
-fn program(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_terraquilt")).args(args).env_remove("TERRAQUILT_TOKEN").output().unwrap()
-}
-
-/// What the command line writes and prints, in a folder, of DB or a server.
-fn by_hand(folder: &Path, of: &[&str], args: &[&str]) -> (Vec<u8>, serde_json::Value, String) {
-    let out = folder.join("by-hand.gtb");
-    let run = program(&[&["export"], of, &[out.to_str().unwrap(), "--json"], args].concat());
-    let said = String::from_utf8_lossy(&run.stderr).into_owned();
-    assert!(run.status.success(), "{said}");
-    let mut json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
-    assert!(json.as_object_mut().unwrap().remove("out").is_some());
-    (std::fs::read(&out).unwrap(), json, said)
-}
-
 /// Every post is as far from the surface as codec and rounding may be, no farther. The surface is asked for half of `error_m`.
 fn holds(d: &Decoded, s: &Snapshot, error_m: f64) {
     let (h, place, z) = (&d.header, &d.header.place, d.surface());
@@ -134,7 +118,7 @@ async fn streams_are_those_of_the_command_line() {
     ];
     for (args, r) in cases {
         let (head, bytes) = asked(&c, r).await;
-        let (here, said, notes) = by_hand(folder.path(), &[db], &args);
+        let (here, said, notes) = by_hand::export(folder.path(), "gtb", &[db], &args);
         assert!(bytes == here, "{args:?}: {} and {} bytes differ", bytes.len(), here.len());
         let json: serde_json::Value = serde_json::from_str(&head.json).unwrap();
         assert_eq!(json, said, "{args:?}");
@@ -145,7 +129,7 @@ async fn streams_are_those_of_the_command_line() {
         assert!((last.error_m - head.error_m).abs() < 1e-9 && last.spacing == 1 && last.edges);
         assert_eq!(head.version, json["version"].as_u64().unwrap());
         // The command line of a server.
-        let (there, told, told_notes) = by_hand(folder.path(), &["--server", &address], &args);
+        let (there, told, told_notes) = by_hand::export(folder.path(), "gtb", &["--server", &address], &args);
         assert!(there == here && told == said && told_notes == notes, "{args:?}: {told_notes}");
     }
     server.stop().await.unwrap();
@@ -195,12 +179,12 @@ async fn the_command_line_goes_on_with_a_file() {
     let dome = DOME.map(|v| v.to_string()).join(",");
     let args = ["--error", "2", "--bbox", &dome, "--step", "5"];
     let at = ["--server", &address];
-    let (bytes, json, _) = by_hand(folder.path(), &at, &args);
+    let (bytes, json, _) = by_hand::export(folder.path(), "gtb", &at, &args);
     let out = folder.path().join("by-hand.gtb");
     let resumed = [&args[..], &["--resume"]].concat();
     for cut in [0, 5, 200, bytes.len() / 3, bytes.len()] {
         std::fs::write(&out, &bytes[..cut]).unwrap();
-        let (again, told, said) = by_hand(folder.path(), &at, &resumed);
+        let (again, told, said) = by_hand::export(folder.path(), "gtb", &at, &resumed);
         assert!(again == bytes && told == json);
         let fetched = format!("{cut} bytes were there, {} were fetched", bytes.len() - cut);
         assert_eq!(said.contains(&fetched), cut > 0, "{said}");
@@ -209,18 +193,19 @@ async fn the_command_line_goes_on_with_a_file() {
     let mut half = bytes[..bytes.len() / 2].to_vec();
     half[3000] ^= 1;
     std::fs::write(&out, &half).unwrap();
-    let (again, _, said) = by_hand(folder.path(), &at, &resumed);
+    let (again, _, said) = by_hand::export(folder.path(), "gtb", &at, &resumed);
     assert!(again == bytes && said.contains("begins anew"), "{said}");
     // A commit in between: the file names its version, and goes on with it.
     std::fs::write(&out, &bytes[..bytes.len() / 2]).unwrap();
-    let set = program(&["set", "--server", &address, "2005", "--precedence", "1"]);
+    let set = by_hand::program(&["set", "--server", &address, "2005", "--precedence", "1"]);
     assert!(set.status.success(), "{}", String::from_utf8_lossy(&set.stderr));
-    let (again, _, said) = by_hand(folder.path(), &at, &resumed);
+    let (again, _, said) = by_hand::export(folder.path(), "gtb", &at, &resumed);
     assert!(again == bytes && !said.contains("anew"), "{said}");
     // Unless the newest is asked for.
     std::fs::write(&out, &bytes[..bytes.len() / 2]).unwrap();
     let newest = db.newest().unwrap().to_string();
-    let (again, json, said) = by_hand(folder.path(), &at, &[&resumed[..], &["--at", &newest]].concat());
+    let (again, json, said) =
+        by_hand::export(folder.path(), "gtb", &at, &[&resumed[..], &["--at", &newest]].concat());
     assert!(again != bytes && said.contains("begins anew") && json["version"].as_u64() == Some(4), "{said}");
     server.stop().await.unwrap();
 }

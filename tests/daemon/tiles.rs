@@ -1,9 +1,8 @@
 //! Fractal tiles of the surface from a server: the bytes of the command line, as exact as they say; who goes is forgotten.
 
+use super::by_hand;
 use super::hills::{DOME, hills};
 use super::support::{connect, serve};
-use std::path::Path;
-use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 use terraquilt::client::{Connection, export, heights};
 use terraquilt::wire::v1;
@@ -41,21 +40,6 @@ async fn refused(c: &Connection, r: v1::FileRequest) -> String {
     export::file(c, r, &mut Vec::new()).await.unwrap_err().to_string()
 }
 
-fn program(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_terraquilt")).args(args).env_remove("TERRAQUILT_TOKEN").output().unwrap()
-}
-
-/// What the command line writes and prints, of a directory or a server, and its notes.
-fn by_hand(folder: &Path, of: &[&str], args: &[&str]) -> (Vec<u8>, serde_json::Value, String) {
-    let out = folder.join("by-hand.ifs");
-    let run = program(&[&["export"], of, &[out.to_str().unwrap(), "--json"], args].concat());
-    let said = String::from_utf8_lossy(&run.stderr).into_owned();
-    assert!(run.status.success(), "{said}");
-    let mut json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
-    assert!(json.as_object_mut().unwrap().remove("out").is_some());
-    (std::fs::read(&out).unwrap(), json, said)
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn tiles_are_those_of_the_command_line() {
     let folder = tempfile::tempdir().unwrap();
@@ -88,8 +72,9 @@ async fn tiles_are_those_of_the_command_line() {
         let args: Vec<&str> = args.split(' ').chain(["--bbox", &dome]).collect();
         let (version, maps) = (if r.at == 0 { 3 } else { r.at }, r.maps);
         let (bytes, json, end) = asked(&c, r).await;
-        let (here, said, notes) = by_hand(folder.path(), &[db.to_str().unwrap()], &args);
-        let (there, also, there_notes) = by_hand(folder.path(), &["--server", &address], &args);
+        let (here, said, notes) = by_hand::export(folder.path(), "ifs", &[db.to_str().unwrap()], &args);
+        let (there, also, there_notes) =
+            by_hand::export(folder.path(), "ifs", &["--server", &address], &args);
         assert!(bytes == here && bytes == there, "{args:?}: {} and {} bytes", bytes.len(), here.len());
         assert_eq!((&json, &json), (&said, &also), "{args:?}");
         assert_eq!((end.version, notes), (version, there_notes));

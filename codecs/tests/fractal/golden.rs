@@ -1,12 +1,13 @@
 //! Golden files: tiles of version 1 as they were first written. They are read as then, and the same input still gives the same bytes.
 
+use crate::golden::heights;
 use std::path::PathBuf;
 use terraquilt_codecs::fractal::grid::points;
 use terraquilt_codecs::fractal::{
     Encoded, Kind, Options, Partition, Search, Space, Tile, Walk, encode_heights, encode_picture,
     encode_volume,
 };
-use terraquilt_codecs::heights::{Heights, Place};
+use terraquilt_codecs::heights::Place;
 use terraquilt_codecs::work::Alone;
 
 /// Names, and checksums of what comes out: at zoom 1, and of walks to depth 5.
@@ -18,20 +19,6 @@ const CASES: [(&str, u32, u32); 6] = [
     ("colour", 0x192c_ffd5, 0xccfd_489a),
     ("volume", 0x1b08_aceb, 0xa81b_c661),
 ];
-
-/// Hills, with a lake of voids.
-fn heights(with_voids: bool) -> Heights {
-    let (cols, rows) = (61, 45);
-    let hill = |x: i64, y: i64| {
-        let bump = |cx: i64, cy: i64, h: i64| h * 400 / (400 + (x - cx) * (x - cx) + (y - cy) * (y - cy));
-        (bump(15, 12, 900) + bump(44, 30, 1400) + (x * 7919 + y * 104_729) % 13) as i32
-    };
-    let at = |k: usize| ((k % cols) as i64, (k / cols) as i64);
-    let z = (0..cols * rows).map(|k| hill(at(k).0, at(k).1)).collect();
-    let lake = |k: usize| (at(k).0 - 30).pow(2) + (at(k).1 - 10).pow(2) < 50;
-    let void = if with_voids { (0..cols * rows).map(lake).collect() } else { Vec::new() };
-    Heights { cols, rows, z, void }
-}
 
 fn written(name: &str) -> Encoded {
     let place = Place {

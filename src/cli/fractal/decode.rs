@@ -1,6 +1,7 @@
 //! `fractal decode`: a fractal tile as GeoTIFF, PNG, GLB or PLY, at any zoom.
 
 use super::super::args::numbers;
+use super::super::coded::{ending, no_format};
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
 use super::{Codec, bytes_of, error_of, errors_in, metered, notes};
@@ -154,24 +155,13 @@ impl Decode {
     }
 
     fn form(&self) -> Result<Form> {
-        let ending =
-            self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let ending = ending(&self.out);
         let form = match ending.as_str() {
             "tif" | "tiff" => Form::Tif,
             "png" => Form::Png,
             "glb" => Form::Glb,
             "ply" => Form::Ply,
-            other => {
-                let found = match other {
-                    "" => "has no ending that names a format".to_string(),
-                    _ => format!("ending '.{other}' is no format that is written"),
-                };
-                return Err(Error::unsupported(
-                    self.out.display(),
-                    found,
-                    "name a .tif, .png, .glb or .ply file",
-                ));
-            }
+            _ => return Err(no_format(&self.out, "name a .tif, .png, .glb or .ply file")),
         };
         if let Some(e) = self.mesh_error {
             if form != Form::Glb {

@@ -1,5 +1,6 @@
 //! `gtb decode`: a GTB file, or the beginning of one, as GeoTIFF, GLB or PNG.
 
+use super::super::coded::{ending, no_format};
 use super::super::export::write_whole;
 use super::super::output::{Output, bytes, count, message};
 use super::{Codec, at_most, bytes_of, metered, notes, short, unit_of};
@@ -98,19 +99,12 @@ impl Decode {
     }
 
     fn form(&self) -> Result<Form> {
-        let ending =
-            self.out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let ending = ending(&self.out);
         let form = match ending.as_str() {
             "tif" | "tiff" => Form::Tif,
             "glb" => Form::Glb,
             "png" => Form::Png,
-            other => {
-                let found = match other {
-                    "" => "has no ending that names a format".to_string(),
-                    _ => format!("ending '.{other}' is no format that is written"),
-                };
-                return Err(Error::unsupported(self.out.display(), found, "name a .glb, .tif or .png file"));
-            }
+            _ => return Err(no_format(&self.out, "name a .glb, .tif or .png file")),
         };
         if !matches!(form, Form::Glb) && (self.strips || self.mesh_error.is_some()) {
             let option = if self.strips { "--strips" } else { "--mesh-error" };

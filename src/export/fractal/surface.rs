@@ -9,7 +9,7 @@ use crate::base::{Error, Result, limits};
 use crate::db::Snapshot;
 use crate::db::query::{Query, Tolerance};
 use crate::export::place::Place;
-use crate::export::posts::{Posts, nothing, rim_note};
+use crate::export::posts::{Posts, Rim, nothing, rim_note};
 use crate::export::shares::{self, Shares};
 use crate::export::{Going, go_on};
 use serde::{Deserialize, Serialize};
@@ -161,15 +161,8 @@ pub fn tile(s: &Snapshot, r: &TileRequest, going: Going) -> Result<(Vec<u8>, Til
     let posts = Posts::new(s, r.place, r.step)?;
     let search = r.choice.search.unwrap_or(Search::Near(NEAR));
     limited(&posts, search, r)?;
-    let (mut z, met) = posts.surface(s, &query, r.place, going)?;
-    // The file states one error for all its posts: those for which none is certified have no place in it.
-    met.rim.iter().for_each(|k| z[*k] = f64::NAN);
-    if z.iter().all(|v| v.is_nan()) {
-        return Err(Error::invalid(
-            "region",
-            "all its posts lie in the rim of their surveys, where no error is certified, and a tile states its error; `export .tif` writes them",
-        ));
-    }
+    // The file states one error for all its posts.
+    let (z, met) = posts.surface(s, &query, r.place, Rim::LeftOut, going)?;
     let settled = shares.settle([met.least, met.most]);
     let heights = posts.rounded(z, settled.unit);
     let place = posts.placed(s, settled.unit, settled.given_error)?;
